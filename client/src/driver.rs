@@ -222,7 +222,7 @@ impl Driver {
             if awaits_measurement && command.interface == self.interface.code() {
                 continue;
             }
-            if may_measure && ![0, own_id].contains(&command.driver_id) {
+            if may_measure && follower::is_for_another(&command, own_id) {
                 continue;
             }
             update.take(&mut self.follower, &command, monotonic_ns());

@@ -310,7 +310,7 @@ impl CommandFollower {
 }
 
 /// It acts on the measurements of another driver than `own_id`.
-fn is_for_another(command: &Command, own_id: u64) -> bool {
+pub(super) fn is_for_another(command: &Command, own_id: u64) -> bool {
     ![0, own_id].contains(&command.driver_id)
 }
 
