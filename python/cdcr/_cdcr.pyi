@@ -153,6 +153,10 @@ class Driver:
         """
         Closes the ports. Closing twice changes nothing.
         """
+    def last_refusal(self, /) -> str | None:
+        """
+        Why the newest of them was refused, or None.
+        """
     def next_command(self, /, timeout_s: float = 1.0) -> Message | None:
         """
         The next command that is taken: a dictionary with the fields of the message Command, or None when none came within timeout_s [s].
@@ -162,10 +166,6 @@ class Driver:
     def refusals(self, /) -> int:
         """
         Commands that were refused since the beginning.
-        """
-    def last_refusal(self, /) -> str | None:
-        """
-        Why the newest of them was refused, or None.
         """
     @property
     def robot(self, /) -> Robot:
