@@ -6,7 +6,7 @@
 #include "cdcr.h"
 
 #define SECOND_NS UINT64_C(1000000000)
-#define PATIENCE_NS (10 * SECOND_NS)
+#define TIMEOUT_NS (10 * SECOND_NS)
 #define POINTS 100
 #define STEP_NS (SECOND_NS / 50)
 
@@ -17,16 +17,16 @@ static int failed(const char *what) {
 
 int main(void) {
     CdcrConnection *client;
-    if (cdcr_connect(CDCR_LAYOUT, NULL, PATIENCE_NS, &client)) return failed("connect");
+    if (cdcr_connect(CDCR_LAYOUT, NULL, TIMEOUT_NS, &client)) return failed("connect");
     CdcrStatus status;
-    if (cdcr_status(client, PATIENCE_NS, &status)) return failed("status");
+    if (cdcr_status(client, TIMEOUT_NS, &status)) return failed("status");
     double length_m = 0;
     for (uint32_t i = 0; i < status.robot.sections; i++) length_m += status.robot.section[i].length_m;
     printf("robot %.*s: %" PRIu32 " sections, %g m\n", CDCR_TEXT_BYTES, status.robot_name, status.robot.sections, length_m);
 
     /* Opened before the first chunk, because the telemetry contains its outcome. A client that feeds needs the lease. */
     if (cdcr_telemetry_open(client)) return failed("telemetry");
-    if (cdcr_request(client, CDCR_REQUEST_KIND_ACQUIRE_LEASE, PATIENCE_NS, NULL)) return failed("lease");
+    if (cdcr_request(client, CDCR_REQUEST_KIND_ACQUIRE_LEASE, TIMEOUT_NS, NULL)) return failed("lease");
 
     /* Two seconds of a reference that begins in a second, in one chunk. Continue longer ones with CDCR_CHUNK_MODE_APPEND. */
     CdcrReferencePoint points[POINTS] = {0};
@@ -40,9 +40,9 @@ int main(void) {
     CdcrHeader sent;
     if (cdcr_feed(client, CDCR_CHUNK_MODE_REPLACE, CDCR_INTERPOLATION_CUBIC, points, POINTS, &sent)) return failed("feed");
     CdcrInputEvent event;
-    if (cdcr_outcome(client, CDCR_EVENT_KIND_REFERENCE, &sent, PATIENCE_NS, &event)) return failed("outcome");
+    if (cdcr_outcome(client, CDCR_EVENT_KIND_REFERENCE, &sent, TIMEOUT_NS, &event)) return failed("outcome");
     if (event.outcome != CDCR_OUTCOME_ACCEPTED) return fprintf(stderr, "refused: outcome %" PRIu32 "\n", event.outcome), 1;
-    if (cdcr_request(client, CDCR_REQUEST_KIND_TRACK, PATIENCE_NS, NULL)) return failed("track");
+    if (cdcr_request(client, CDCR_REQUEST_KIND_TRACK, TIMEOUT_NS, NULL)) return failed("track");
 
     static CdcrTelemetry records[16];
     uint64_t tracked = 0, renewed_ns = cdcr_monotonic_ns(), lost = 0;
@@ -56,7 +56,7 @@ int main(void) {
             error_m = records[i].position_error_m;
         }
         if (cdcr_monotonic_ns() > renewed_ns + SECOND_NS / 10) {
-            if (cdcr_request(client, CDCR_REQUEST_KIND_ACQUIRE_LEASE, PATIENCE_NS, NULL)) return failed("renew");
+            if (cdcr_request(client, CDCR_REQUEST_KIND_ACQUIRE_LEASE, TIMEOUT_NS, NULL)) return failed("renew");
             renewed_ns = cdcr_monotonic_ns();
         }
     }

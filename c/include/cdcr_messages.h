@@ -774,7 +774,7 @@ typedef struct CdcrInputEvent {
     uint64_t sender_id;
     /* 8: header.sequence of the message. */
     uint64_t sequence;
-    /* 16: The daemon's clock when it judged the message; of a request that a cycle decided, that cycle's
+    /* 16: The daemon's clock when it evaluated the message; of a request that a cycle decided, that cycle's
      * handed_over_ns [ns, CLOCK_MONOTONIC]. */
     uint64_t judged_ns;
     /* 24: CdcrEventKind. */

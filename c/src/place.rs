@@ -16,9 +16,9 @@ pub(crate) fn locate(
     );
     let location = match (prefix, root.map(Path::new)) {
         (Some(prefix), Some(root)) => Location::new(prefix, root),
-        (prefix, root) => Location::from_environment().and_then(|said| {
-            let prefix = prefix.unwrap_or(said.prefix());
-            Location::new(prefix, root.unwrap_or(said.root()))
+        (prefix, root) => Location::from_environment().and_then(|reported| {
+            let prefix = prefix.unwrap_or(reported.prefix());
+            Location::new(prefix, root.unwrap_or(reported.root()))
         }),
     };
     Ok((location.map_err(Failure::argument)?, robot))

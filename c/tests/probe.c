@@ -9,7 +9,7 @@
 #include "cdcr.h"
 
 #define SECOND_NS UINT64_C(1000000000)
-#define PATIENCE_NS (60 * SECOND_NS)
+#define TIMEOUT_NS (60 * SECOND_NS)
 
 static void check(int line, const char *what, int is, int wanted) {
     if (is == wanted) return;
@@ -22,13 +22,13 @@ static void check(int line, const char *what, int is, int wanted) {
 
 static CdcrConnection *client(void) {
     CdcrConnection *client = NULL;
-    IS(cdcr_connect(CDCR_LAYOUT, NULL, PATIENCE_NS, &client), CDCR_OK);
+    IS(cdcr_connect(CDCR_LAYOUT, NULL, TIMEOUT_NS, &client), CDCR_OK);
     return client;
 }
 
 static CdcrDriver *driver(void) {
     CdcrDriver *driver = NULL;
-    IS(cdcr_driver_connect(CDCR_LAYOUT, NULL, CDCR_INTERFACE_VELOCITY, PATIENCE_NS, &driver), CDCR_OK);
+    IS(cdcr_driver_connect(CDCR_LAYOUT, NULL, CDCR_INTERFACE_VELOCITY, TIMEOUT_NS, &driver), CDCR_OK);
     return driver;
 }
 
@@ -112,7 +112,7 @@ static void arguments(CdcrConnection *open, CdcrDriver *moves) {
     SAYS(cdcr_request(open, 77, 0, &response), CDCR_ERROR_ARGUMENT, "unknown code 77");
     SAYS(cdcr_request(open, CDCR_REQUEST_KIND_SETTINGS, 0, &response), CDCR_ERROR_ARGUMENT, "settings set");
     IS(response.outcome == UINT32_MAX, 1);
-    SAYS(cdcr_request(open, CDCR_REQUEST_KIND_TRACK, PATIENCE_NS, &response), CDCR_ERROR_REFUSED, "no client feeds");
+    SAYS(cdcr_request(open, CDCR_REQUEST_KIND_TRACK, TIMEOUT_NS, &response), CDCR_ERROR_REFUSED, "no client feeds");
     IS((int)response.outcome, CDCR_OUTCOME_NO_LEASE);
     IS((int)response.mode, CDCR_MODE_HOLDING);
     SAYS(cdcr_feed(open, 0, 0, points, 0, NULL), CDCR_ERROR_ARGUMENT, "not 0");
@@ -133,16 +133,16 @@ static void arguments(CdcrConnection *open, CdcrDriver *moves) {
     /* A buffer that is too small is filled; the next call returns the rest. */
     memset(records, 0x5a, sizeof records);
     usleep(100000);
-    IS(cdcr_telemetry_read(open, PATIENCE_NS, records, 2, &count, &lost), CDCR_OK);
+    IS(cdcr_telemetry_read(open, TIMEOUT_NS, records, 2, &count, &lost), CDCR_OK);
     for (const unsigned char *byte = (unsigned char *)&records[2]; byte < (unsigned char *)&records[3]; byte++) IS(*byte, 0x5a);
     IS(count >= 1 && count <= 2, 1);
     const uint64_t last = records[count - 1].header.sequence;
-    IS(cdcr_telemetry_read(open, PATIENCE_NS, records, 1, &count, &lost), CDCR_OK);
+    IS(cdcr_telemetry_read(open, TIMEOUT_NS, records, 1, &count, &lost), CDCR_OK);
     IS(count == 1 && (records[0].header.sequence == last + 1 || lost > 0), 1);
     /* Outcome of a message: without the lease the daemon refuses a reference; obstacles need no lease. */
-    points[0].time_ns = cdcr_monotonic_ns() + PATIENCE_NS;
+    points[0].time_ns = cdcr_monotonic_ns() + TIMEOUT_NS;
     IS(cdcr_feed(open, CDCR_CHUNK_MODE_REPLACE, CDCR_INTERPOLATION_LINEAR, points, 1, &header), CDCR_OK);
-    IS(cdcr_outcome(open, CDCR_EVENT_KIND_REFERENCE, &header, PATIENCE_NS, &event), CDCR_OK);
+    IS(cdcr_outcome(open, CDCR_EVENT_KIND_REFERENCE, &header, TIMEOUT_NS, &event), CDCR_OK);
     IS((int)event.outcome, CDCR_OUTCOME_NO_LEASE);
     obstacles[0].id = 5;
     obstacles[0].start_m[0] = 1.0;
@@ -152,7 +152,7 @@ static void arguments(CdcrConnection *open, CdcrDriver *moves) {
     for (size_t i = 0; i < 3; i++) {
         const int clears = actions[i] == CDCR_OBSTACLE_ACTION_CLEAR;
         IS(cdcr_obstacles(open, actions[i], clears ? NULL : obstacles, clears ? 0 : 1, &header), CDCR_OK);
-        IS(cdcr_outcome(open, CDCR_EVENT_KIND_OBSTACLES, &header, PATIENCE_NS, &event), CDCR_OK);
+        IS(cdcr_outcome(open, CDCR_EVENT_KIND_OBSTACLES, &header, TIMEOUT_NS, &event), CDCR_OK);
         IS((int)event.outcome, CDCR_OUTCOME_ACCEPTED);
     }
     obstacles[0].start_m[0] = 50.0;
@@ -196,11 +196,11 @@ static void *in_a_thread(void *unused) {
     IS(cdcr_stop(NULL), CDCR_OK);
     CdcrConnection *own = client();
     CdcrResponse response;
-    SAYS(cdcr_request(own, CDCR_REQUEST_KIND_TRACK, PATIENCE_NS, &response), CDCR_ERROR_REFUSED, "cdcrctl reset");
+    SAYS(cdcr_request(own, CDCR_REQUEST_KIND_TRACK, TIMEOUT_NS, &response), CDCR_ERROR_REFUSED, "cdcrctl reset");
     IS((int)response.mode, CDCR_MODE_STOPPED);
-    IS(cdcr_request(own, CDCR_REQUEST_KIND_RESET, PATIENCE_NS, NULL), CDCR_OK);
+    IS(cdcr_request(own, CDCR_REQUEST_KIND_RESET, TIMEOUT_NS, NULL), CDCR_OK);
     /* The end of the thread closes the connection and gives the lease back. */
-    IS(cdcr_request(own, CDCR_REQUEST_KIND_ACQUIRE_LEASE, PATIENCE_NS, NULL), CDCR_OK);
+    IS(cdcr_request(own, CDCR_REQUEST_KIND_ACQUIRE_LEASE, TIMEOUT_NS, NULL), CDCR_OK);
     return unused;
 }
 
@@ -211,8 +211,8 @@ static void threads(void) {
         IS(pthread_create(&thread, NULL, in_a_thread, NULL), 0);
         IS(pthread_join(thread, NULL), 0);
         CdcrResponse response;
-        IS(cdcr_request(of_main, CDCR_REQUEST_KIND_ACQUIRE_LEASE, PATIENCE_NS, &response), CDCR_OK);
-        IS(cdcr_request(of_main, CDCR_REQUEST_KIND_RELEASE_LEASE, PATIENCE_NS, &response), CDCR_OK);
+        IS(cdcr_request(of_main, CDCR_REQUEST_KIND_ACQUIRE_LEASE, TIMEOUT_NS, &response), CDCR_OK);
+        IS(cdcr_request(of_main, CDCR_REQUEST_KIND_RELEASE_LEASE, TIMEOUT_NS, &response), CDCR_OK);
     }
 }
 
@@ -223,14 +223,14 @@ static void forks(void) {
     if (child == 0) {
         SAYS(cdcr_status(parents, 0, &status), CDCR_ERROR_HANDLE, "parent process");
         CdcrConnection *own = client();
-        IS(cdcr_status(own, PATIENCE_NS, &status), CDCR_OK);
+        IS(cdcr_status(own, TIMEOUT_NS, &status), CDCR_OK);
         exit(0);
     }
     int end = -1;
     IS(waitpid(child, &end, 0) == child, 1);
     IS(end, 0);
-    IS(cdcr_status(parents, PATIENCE_NS, &status), CDCR_OK);
-    IS(cdcr_request(parents, CDCR_REQUEST_KIND_HOLD, PATIENCE_NS, NULL), CDCR_OK);
+    IS(cdcr_status(parents, TIMEOUT_NS, &status), CDCR_OK);
+    IS(cdcr_request(parents, CDCR_REQUEST_KIND_HOLD, TIMEOUT_NS, NULL), CDCR_OK);
 }
 
 /* Prints the progress on standard output, and waits for a line while the test acts. */
@@ -244,10 +244,10 @@ static void reached(const char *what) {
 static void lease(void) {
     CdcrConnection *second = client();
     CdcrResponse response;
-    SAYS(cdcr_request(second, CDCR_REQUEST_KIND_ACQUIRE_LEASE, PATIENCE_NS, &response), CDCR_ERROR_REFUSED, "another client");
+    SAYS(cdcr_request(second, CDCR_REQUEST_KIND_ACQUIRE_LEASE, TIMEOUT_NS, &response), CDCR_ERROR_REFUSED, "another client");
     IS((int)response.outcome, CDCR_OUTCOME_LEASE_HELD);
     reached("refused");
-    IS(cdcr_request(second, CDCR_REQUEST_KIND_ACQUIRE_LEASE, PATIENCE_NS, &response), CDCR_OK);
+    IS(cdcr_request(second, CDCR_REQUEST_KIND_ACQUIRE_LEASE, TIMEOUT_NS, &response), CDCR_OK);
     IS(response.lease_left_ns > SECOND_NS, 1);
     /* The end of the program closes the connection. */
 }
@@ -260,11 +260,11 @@ static void away(void) {
     CdcrRates rates = {{1.0}, {1.0}};
     CdcrRobotDescription robot;
     IS(cdcr_driver_robot(moves, &robot), CDCR_OK);
-    IS(cdcr_status(open, PATIENCE_NS, &status), CDCR_OK);
+    IS(cdcr_status(open, TIMEOUT_NS, &status), CDCR_OK);
     const uint64_t before = status.header.sender_id;
     reached("connected");
     /* A status is valid for a second. */
-    const uint64_t last_ns = cdcr_monotonic_ns() + PATIENCE_NS;
+    const uint64_t last_ns = cdcr_monotonic_ns() + TIMEOUT_NS;
     while (cdcr_status(open, SECOND_NS / 10, &status) == CDCR_OK) IS(cdcr_monotonic_ns() < last_ns, 1);
     SAYS(cdcr_status(open, SECOND_NS / 10, &status), CDCR_ERROR_SILENT, "has ended");
     SAYS(cdcr_request(open, CDCR_REQUEST_KIND_HOLD, SECOND_NS / 10, NULL), CDCR_ERROR_SILENT, "has ended");
@@ -278,7 +278,7 @@ static void away(void) {
     SAYS(cdcr_connect(CDCR_LAYOUT, NULL, 0, &second), CDCR_ERROR_NO_DAEMON, "cdcrd run");
     IS(cdcr_stop(NULL), CDCR_ERROR_NO_DAEMON);
     reached("alone");
-    IS(cdcr_status(open, PATIENCE_NS, &status), CDCR_OK);
+    IS(cdcr_status(open, TIMEOUT_NS, &status), CDCR_OK);
     IS(status.header.sender_id != before, 1);
     IS(cdcr_close(open), CDCR_OK);
     IS(cdcr_driver_close(moves), CDCR_OK);

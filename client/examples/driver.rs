@@ -23,9 +23,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
         signal_hook::flag::register(signal, ending.clone())?;
     }
-    let (location, patience) = (Location::from_environment()?, Duration::from_secs(10));
+    let (location, timeout) = (Location::from_environment()?, Duration::from_secs(10));
     let robot = env::var("CDCR_ROBOT").unwrap_or("cdcr".to_owned());
-    let mut driver = Driver::connect_within(&location, &robot, interface, patience)?;
+    let mut driver = Driver::connect_within(&location, &robot, interface, timeout)?;
     // Ideal motors and encoders, one for each cable of a straight robot.
     let mut length_m = straight_cable_lengths_m(driver.robot());
     let mut last_ns = monotonic_ns();

@@ -53,7 +53,7 @@ impl Parameter {
     }
 
     /// What to ask about a value that is probably not meant: `usual is 0 to 10 rad/s; in degrees?`.
-    pub fn doubt(&self, value: f64) -> Option<String> {
+    pub fn warning(&self, value: f64) -> Option<String> {
         let usual = self
             .usual
             .as_ref()

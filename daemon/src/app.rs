@@ -108,9 +108,9 @@ fn run_with(
     let cycle = make_cycle(validated, &clock)?;
     let cycle = match shared.latch.describe() {
         None => cycle,
-        Some(told) => {
+        Some(reported) => {
             tracing::warn!(
-                "the robot was {told} before this daemon started and not reset since: it stays stopped until \
+                "the robot was {reported} before this daemon started and not reset since: it stays stopped until \
                  `cdcrctl reset`"
             );
             cycle.stopped_before()

@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn so_many_lines_pass_and_the_rest_is_counted_and_said() {
+    fn so_many_lines_pass_and_the_rest_is_counted_and_reported() {
         let limit = Limit {
             lines_max: 20,
             interval: INTERVAL,
@@ -301,7 +301,7 @@ mod tests {
             assert_eq!(count(begin + INTERVAL / 20 * 19), Decision::LeaveOut);
         }
         assert_eq!(count(end), Decision::PassAfter { left_out: 1000 });
-        assert_eq!(count(end), Decision::Pass, "it is said once");
+        assert_eq!(count(end), Decision::Pass, "it is reported once");
         assert_eq!(count(end + INTERVAL), Decision::Pass);
     }
 

@@ -44,10 +44,10 @@ mod tests {
 
     /// The status as text, because it has no equality, and the reported messages.
     fn end_of(work: impl FnOnce() -> Result<ExitCode>) -> (String, Vec<String>) {
-        let said = RefCell::<Vec<String>>::default();
-        let say = |message: &str| RefCell::borrow_mut(&said).push(message.to_owned());
+        let reported = RefCell::<Vec<String>>::default();
+        let say = |message: &str| RefCell::borrow_mut(&reported).push(message.to_owned());
         let status = status_of(work, say);
-        (format!("{status:?}"), said.into_inner())
+        (format!("{status:?}"), reported.into_inner())
     }
 
     fn code(status: u8) -> String {
@@ -60,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_is_said_once_and_ends_with_its_own_number() {
+    fn an_error_is_reported_once_and_ends_with_its_own_number() {
         let ended = Ended {
             cause: ExitCause::CycleHung,
             message: "it hangs".to_owned(),

@@ -273,7 +273,7 @@ mod tests {
             Self { socket, folder }
         }
 
-        fn told_by(&self, watchdog_period: Option<Duration>) -> ServiceManager {
+        fn configured_by(&self, watchdog_period: Option<Duration>) -> ServiceManager {
             let path = self.folder.path().join("notify");
             ServiceManager::at(path.as_os_str(), watchdog_period).unwrap()
         }
@@ -314,7 +314,7 @@ mod tests {
     #[test]
     fn ready_and_stopping_are_said_once() {
         let manager = Manager::start();
-        let mut service = manager.told_by(None);
+        let mut service = manager.configured_by(None);
         for _ in 0..3 {
             service.ready();
         }
@@ -328,7 +328,7 @@ mod tests {
     #[test]
     fn a_status_is_one_line_with_mode_rate_misses_and_error() {
         let manager = Manager::start();
-        let mut service = manager.told_by(None);
+        let mut service = manager.configured_by(None);
         let line = line(Mode::Tracking, 3);
         service.send_status(&line);
         let reason = line.reason;
@@ -343,7 +343,7 @@ mod tests {
     #[test]
     fn a_new_mode_is_told_at_once_and_new_numbers_once_a_second() {
         let manager = Manager::start();
-        let mut service = manager.told_by(None);
+        let mut service = manager.configured_by(None);
         let begin = Instant::now();
         service.send_status_at(&line(Mode::Holding, 0), begin);
         service.send_status_at(&line(Mode::Tracking, 0), begin);
@@ -359,7 +359,7 @@ mod tests {
     #[test]
     fn the_watchdog_is_fed_every_half_period_while_cycles_advance() {
         let manager = Manager::start();
-        let mut service = manager.told_by(Some(HOUR));
+        let mut service = manager.configured_by(Some(HOUR));
         assert_eq!(service.watchdog_period(), Some(HOUR));
         let begin = Instant::now();
         let quarter = HOUR / 4;
@@ -380,7 +380,7 @@ mod tests {
     fn without_a_watchdog_nothing_is_fed() {
         let manager = Manager::start();
         for period in [None, Some(Duration::ZERO)] {
-            let mut service = manager.told_by(period);
+            let mut service = manager.configured_by(period);
             service.feed_watchdog(1);
             assert_eq!(
                 (service.watchdog_period(), manager.received().len()),
@@ -390,9 +390,9 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_heard_is_said_again() {
+    fn what_was_not_heard_is_reported_again() {
         let manager = Manager::start();
-        let mut service = manager.told_by(Some(HOUR));
+        let mut service = manager.configured_by(Some(HOUR));
         manager.move_away(true);
         service.ready();
         service.feed_watchdog(1);
@@ -404,9 +404,9 @@ mod tests {
     }
 
     #[test]
-    fn a_status_that_was_not_heard_is_said_again_once_a_second() {
+    fn a_status_that_was_not_heard_is_reported_again_once_a_second() {
         let manager = Manager::start();
-        let mut service = manager.told_by(None);
+        let mut service = manager.configured_by(None);
         manager.move_away(true);
         let begin = Instant::now();
         service.send_status_at(&line(Mode::Tracking, 3), begin);
@@ -420,7 +420,7 @@ mod tests {
     #[test]
     fn a_status_that_was_not_heard_holds_back_no_change_of_mode() {
         let manager = Manager::start();
-        let mut service = manager.told_by(None);
+        let mut service = manager.configured_by(None);
         manager.move_away(true);
         let begin = Instant::now();
         service.send_status_at(&line(Mode::Tracking, 3), begin);
@@ -432,7 +432,7 @@ mod tests {
     #[test]
     fn a_listener_that_does_not_read_does_not_hold_us_up() {
         let manager = Manager::start();
-        let mut service = manager.told_by(None);
+        let mut service = manager.configured_by(None);
         let begin = Instant::now();
         // Far more than a socket can queue: a blocking send would never return.
         for index in 0..10_000 {

@@ -109,8 +109,8 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
 fn unusual(config: &Config) -> Vec<String> {
     let numbers = numbers(config).into_iter();
     let unusual = numbers.filter_map(|(key, parameter, value)| {
-        let doubt = parameter.doubt(value)?;
-        Some(format!("{key} = {value}: {doubt}"))
+        let warning = parameter.warning(value)?;
+        Some(format!("{key} = {value}: {warning}"))
     });
     unusual.collect()
 }
@@ -138,7 +138,7 @@ fn of_units(config: &Config) -> Vec<String> {
         ),
     ]
     .into_iter()
-    .filter_map(|(is_doubtful, text)| is_doubtful.then_some(text))
+    .filter_map(|(is_suspicious, text)| is_suspicious.then_some(text))
     .collect()
 }
 

@@ -467,13 +467,13 @@ impl Connection {
         send: impl FnOnce(&ObstacleSender) -> Result<Header, LinkError> + Send + 'static,
     ) -> PyResult<()> {
         let outcome = self.worker.call_on_thread(py, move |desk| {
-            let mut verdicts = desk.connection.telemetry()?;
+            let mut telemetry = desk.connection.telemetry()?;
             let sender = match &mut desk.obstacles {
                 Some(sender) => sender,
                 none => none.insert(desk.connection.obstacle_sender()?),
             };
             let header = send(sender)?;
-            Ok::<_, Failure>(verdicts.outcome_on(EventKind::Obstacles, &header, OUTCOME)?)
+            Ok::<_, Failure>(telemetry.outcome_on(EventKind::Obstacles, &header, OUTCOME)?)
         })??;
         if outcome == Outcome::Accepted {
             return Ok(());

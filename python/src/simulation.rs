@@ -36,11 +36,11 @@ pub(crate) struct Simulation {
     /// Period [s].
     #[pyo3(get)]
     period_s: f64,
-    rows: Vec<Row>,
+    rows: Vec<PeriodRow>,
 }
 
 /// One period.
-struct Row {
+struct PeriodRow {
     time_s: f64,
     bends: Configuration,
     rates: Vec<f64>,
@@ -171,7 +171,7 @@ fn run<R: Fn(f64) -> ReferenceSample + Send>(
     (period_s, settings): (f64, NmpcSettings),
     periods: usize,
     reference: &crate::trajectory::Source,
-) -> PyResult<Vec<Row>> {
+) -> PyResult<Vec<PeriodRow>> {
     let mut nmpc = nmpc::Nmpc::new(robot.clone(), period_s, settings).map_err(Failure::from)?;
     let mut rows = Vec::new();
     while rows.len() < periods {
@@ -182,7 +182,7 @@ fn run<R: Fn(f64) -> ReferenceSample + Send>(
                 let begin = Instant::now();
                 let report = closed.step(nmpc);
                 let solve_s = begin.elapsed().as_secs_f64();
-                rows.push(Row::after(closed, reference, report, solve_s));
+                rows.push(PeriodRow::after(closed, reference, report, solve_s));
             }
         });
         py.check_signals()?;
@@ -190,7 +190,7 @@ fn run<R: Fn(f64) -> ReferenceSample + Send>(
     Ok(rows)
 }
 
-impl Row {
+impl PeriodRow {
     fn after<R: Fn(f64) -> ReferenceSample>(
         closed: &ClosedLoop<R>,
         reference: &crate::trajectory::Source,
@@ -298,7 +298,7 @@ impl Simulation {
 }
 
 impl Simulation {
-    fn column(&self, number: impl Fn(&Row) -> f64) -> Doubles {
+    fn column(&self, number: impl Fn(&PeriodRow) -> f64) -> Doubles {
         Doubles::new(
             &[self.rows.len()],
             &[],
@@ -306,7 +306,7 @@ impl Simulation {
         )
     }
 
-    fn rows<'s>(&'s self, width: usize, numbers: impl Fn(&'s Row) -> &'s [f64]) -> Doubles {
+    fn rows<'s>(&'s self, width: usize, numbers: impl Fn(&'s PeriodRow) -> &'s [f64]) -> Doubles {
         let values = self.rows.iter().flat_map(numbers).copied().collect();
         Doubles::new(&[self.rows.len()], &[width], values)
     }

@@ -18,7 +18,7 @@ PROJECT = Path(os.environ.get("CDCR_PROJECT", Path(__file__).resolve().parents[2
 PROGRAMS = Path(os.environ.get("CDCR_PROGRAMS", PROJECT / "target" / "release"))
 
 # Long, because a machine with other work may stall; only a failing test waits that long.
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 
 MEMORY = Path("/dev/shm")
 # The process id follows, so that the next run finds what a killed one left.
@@ -27,14 +27,14 @@ PREFIX = "cdcr-python-"
 
 def pytest_report_header() -> list[str]:
     """Removes what killed runs left in shared memory, and reports it."""
-    said = []
+    reported = []
     for place in MEMORY.glob(PREFIX + "*"):
         number = place.name.removeprefix(PREFIX).partition("-")[0]
         if not number.isdigit() or Path("/proc", number).exists() or place.stat().st_uid != os.getuid():
             continue
-        said.append(f"removed, of a run that was killed: {place}")
+        reported.append(f"removed, of a run that was killed: {place}")
         shutil.rmtree(place) if place.is_dir() else place.unlink()
-    return said
+    return reported
 
 
 class Daemon:
@@ -56,12 +56,12 @@ class Daemon:
         self.process = subprocess.Popen(command, env=self.environment, stderr=self.log)
 
     def connect(self, **options: object) -> cdcr.Connection:
-        given = {"timeout_s": PATIENCE_S, **options}
+        given = {"timeout_s": TIMEOUT_S, **options}
         return cdcr.connect("cdcr", root=self.root, prefix="cdcr_python_", **given)
 
     def run(self, *command: str) -> subprocess.CompletedProcess[str]:
         """cdcrctl, or a Python program, for this daemon."""
-        return subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=4 * PATIENCE_S)
+        return subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=4 * TIMEOUT_S)
 
     def kill(self) -> None:
         self.process.kill()
@@ -71,7 +71,7 @@ class Daemon:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
             try:
-                self.process.wait(PATIENCE_S)
+                self.process.wait(TIMEOUT_S)
             except subprocess.TimeoutExpired:
                 self.kill()
         self.log.close()
@@ -84,7 +84,7 @@ def daemon() -> Iterator[Daemon]:
     """The ideal robot of the default configuration, at rest."""
     running = Daemon()
     with running.connect() as connection:
-        until = time.monotonic() + PATIENCE_S
+        until = time.monotonic() + TIMEOUT_S
         while connection.status()["mode"] is not cdcr.Mode.HOLDING:
             assert time.monotonic() < until
             time.sleep(0.02)
@@ -92,8 +92,8 @@ def daemon() -> Iterator[Daemon]:
     running.end()
 
 
-def eventually(happened, patience_s: float = PATIENCE_S) -> None:
-    until = time.monotonic() + patience_s
+def eventually(happened, timeout_s: float = TIMEOUT_S) -> None:
+    until = time.monotonic() + timeout_s
     while not happened():
         assert time.monotonic() < until, "it did not happen"
         time.sleep(0.02)
@@ -101,7 +101,7 @@ def eventually(happened, patience_s: float = PATIENCE_S) -> None:
 
 def newest(connection: cdcr.Connection) -> np.void:
     """A new record, however long the machine stalls; the status may be 0.1 s old."""
-    until = time.monotonic() + PATIENCE_S
+    until = time.monotonic() + TIMEOUT_S
     while len(records := connection.telemetry(0.05)) == 0:
         assert time.monotonic() < until, "there are no records"
     return records[-1]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import cdcr
-from conftest import PATIENCE_S, Daemon
+from conftest import TIMEOUT_S, Daemon
 
 SOLVES = 10_000
 CONNECTIONS = int(os.environ.get("CDCR_PYTHON_CONNECTIONS", "100"))
@@ -73,7 +73,7 @@ def test_connections_leave_nothing(daemon: Daemon) -> None:
 
 def settled(root: Path) -> dict[str, int]:
     """Waits until nothing changes: the daemon removes the leftovers of clients once a second."""
-    until = time.monotonic() + PATIENCE_S
+    until = time.monotonic() + TIMEOUT_S
     found, since = held(root), time.monotonic()
     while time.monotonic() < min(since + 3, until):
         time.sleep(0.1)
@@ -84,7 +84,7 @@ def settled(root: Path) -> dict[str, int]:
 
 def use(daemon: Daemon) -> None:
     """Uses many ports of a connection: telemetry, requests and obstacles. Repeated when the machine stalls."""
-    until = time.monotonic() + PATIENCE_S
+    until = time.monotonic() + TIMEOUT_S
     while True:
         try:
             with daemon.connect() as connection:

@@ -15,7 +15,7 @@ import pytest
 
 import cdcr
 from cdcr._wire import EventKind, RequestKind
-from conftest import PATIENCE_S, Daemon, curve, eventually, mode, newest
+from conftest import TIMEOUT_S, Daemon, curve, eventually, mode, newest
 
 
 def test_status_is_a_dictionary_and_the_robot_is_the_daemons(daemon: Daemon) -> None:
@@ -146,7 +146,7 @@ def test_live_gives_every_record_and_incidents_what_was_bad(daemon: Daemon) -> N
         assert connection.incidents().dtype == cdcr.dtype("Incident")
 
 
-def test_points_can_be_sent_as_they_come_and_what_is_refused_is_told(daemon: Daemon) -> None:
+def test_points_can_be_sent_as_they_come_and_what_is_refused_is_reported(daemon: Daemon) -> None:
     with daemon.connect() as connection:
         robot = connection.robot()
         with connection.stream() as stream:
@@ -257,7 +257,7 @@ def test_any_thread_may_ask_while_another_waits(daemon: Daemon) -> None:
 
 
 def child(root: Path, answer) -> None:
-    with cdcr.connect("cdcr", root=root, prefix="cdcr_python_", timeout_s=PATIENCE_S) as connection:
+    with cdcr.connect("cdcr", root=root, prefix="cdcr_python_", timeout_s=TIMEOUT_S) as connection:
         answer.put(connection.status()["process_id"])
 
 
@@ -268,15 +268,15 @@ def test_a_forked_process_is_refused_and_a_spawned_one_works(daemon: Daemon) -> 
         with connection.feed(t, xyz, track=False) as feed:
             process = os.fork()
             if process == 0:
-                said = []
+                reported = []
                 for attempt in (connection.status, daemon.connect, feed.wait, connection.stop):
                     try:
                         attempt()
-                        said.append("nothing")
+                        reported.append("nothing")
                     except cdcr.LinkError as error:
-                        said.append(f"{error} {error.remedy}")
+                        reported.append(f"{error} {error.remedy}")
                 del connection, feed
-                os.write(write, "\n".join(said).encode())
+                os.write(write, "\n".join(reported).encode())
                 os._exit(0)
             os.waitpid(process, 0)
         lines = os.read(read, 10_000).decode().splitlines()
@@ -286,13 +286,13 @@ def test_a_forked_process_is_refused_and_a_spawned_one_works(daemon: Daemon) -> 
         answer = context.Queue()
         spawned = context.Process(target=child, args=(daemon.root, answer))
         spawned.start()
-        assert answer.get(timeout=PATIENCE_S) == daemon.process.pid
+        assert answer.get(timeout=TIMEOUT_S) == daemon.process.pid
         spawned.join()
 
 
 def test_nothing_is_printed(daemon: Daemon) -> None:
     text = "import cdcr\nwith cdcr.connect() as c: c.telemetry(0.1); c.set_obstacles({1: cdcr.Obstacle.sphere([1, 0, 0], 0.1)})"
-    ran = daemon.run(sys.executable, "-c", "import time; time.sleep(0.5)\n" + text.replace("connect()", f"connect(timeout_s={PATIENCE_S})"))
+    ran = daemon.run(sys.executable, "-c", "import time; time.sleep(0.5)\n" + text.replace("connect()", f"connect(timeout_s={TIMEOUT_S})"))
     assert (ran.returncode, ran.stdout, ran.stderr) == (0, "", "")
 
 
@@ -328,7 +328,7 @@ def test_a_driver_moves_its_robot_along_a_reference(interface: str) -> None:
             thread = threading.Thread(target=loop)
             thread.start()
             try:
-                command = driver.next_command(PATIENCE_S)
+                command = driver.next_command(TIMEOUT_S)
                 assert command is not None and command["interface"].name.lower() == interface
                 eventually(lambda: mode(connection) is cdcr.Mode.HOLDING)
                 t, xyz = curve(robot, 2.0)
@@ -347,7 +347,7 @@ def test_a_driver_moves_its_robot_along_a_reference(interface: str) -> None:
                 assert np.linalg.norm(reached - xyz[-1]) < 0.02
                 # Commands that expired in a stall were rejected; this one is accepted.
                 refusals = driver.refusals()
-                assert refusals < driver.next_command(PATIENCE_S)["header"]["sequence"]
+                assert refusals < driver.next_command(TIMEOUT_S)["header"]["sequence"]
             finally:
                 over.set()
                 thread.join()

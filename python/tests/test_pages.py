@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from conftest import PATIENCE_S, PROGRAMS, PROJECT, Daemon
+from conftest import TIMEOUT_S, PROGRAMS, PROJECT, Daemon
 
 
 def blocks(page: str) -> list[str]:
@@ -16,7 +16,7 @@ def blocks(page: str) -> list[str]:
 def works(daemon: Daemon, folder: Path, program: str) -> None:
     environment = {**daemon.environment, "MPLBACKEND": "Agg", "PYTHONSAFEPATH": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", program], cwd=folder, env=environment, capture_output=True, text=True, timeout=4 * PATIENCE_S
+        [sys.executable, "-c", program], cwd=folder, env=environment, capture_output=True, text=True, timeout=4 * TIMEOUT_S
     )
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -43,5 +43,5 @@ def test_the_page(daemon: Daemon, tmp_path: Path) -> None:
     recorder = subprocess.Popen([PROGRAMS / "cdcrctl", "record", "-o", "run.mcap"], cwd=tmp_path, env=daemon.environment)
     works(daemon, tmp_path, offline + online)
     recorder.terminate()
-    recorder.wait(PATIENCE_S)
+    recorder.wait(TIMEOUT_S)
     works(daemon, tmp_path, "import cdcr\n" + recorded)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import cdcr
-from conftest import PATIENCE_S, Daemon, curve, eventually
+from conftest import TIMEOUT_S, Daemon, curve, eventually
 
 NEVER = [float("nan"), float("inf"), -float("inf"), -1.0, -1e-9, 1e19, 1e300]
 POINTS = [0.0, 600.0], [[0, 0, 0.9], [0, 0.1, 0.89]]
@@ -84,7 +84,7 @@ def test_what_has_not_begun_says_to_use_with_and_what_has_ended_keeps_its_outcom
 
 def test_a_feed_may_be_asked_from_a_thread_while_another_waits(daemon: Daemon) -> None:
     with daemon.connect() as connection, connection.feed(*POINTS, track=False) as feed:
-        waiting = threading.Thread(target=lambda: feed.wait(PATIENCE_S))
+        waiting = threading.Thread(target=lambda: feed.wait(TIMEOUT_S))
         waiting.start()
         eventually(lambda: feed.played_s > 0)
         assert feed.wait(0.0) is None and waiting.is_alive()
@@ -106,7 +106,7 @@ def test_closing_while_another_thread_waits_ends_that_wait_by_an_error(daemon: D
     waiting.start()
     time.sleep(0.1)
     connection.close()
-    waiting.join(PATIENCE_S)
+    waiting.join(TIMEOUT_S)
     assert len(raised) == 1 and "closed" in str(raised[0]) and isinstance(raised[0], cdcr.LinkError)
 
 
@@ -141,7 +141,7 @@ def test_a_killed_daemon_is_reported_by_every_wait_and_the_next_one_is_found(dae
         daemon.start()
         with daemon.connect() as fresh:
             assert fresh.status()["process_id"] == daemon.process.pid
-        eventually(lambda: connection.status(PATIENCE_S)["process_id"] == daemon.process.pid)
+        eventually(lambda: connection.status(TIMEOUT_S)["process_id"] == daemon.process.pid)
         eventually(lambda: len(connection.telemetry(0.05)) > 0)
 
 
@@ -242,7 +242,7 @@ WAITS = {
 
 @pytest.mark.parametrize("what", WAITS)
 def test_ctrl_c_ends_every_wait(daemon: Daemon, what: str) -> None:
-    text = f"import os, signal, cdcr\nsignal.signal(signal.SIGINT, signal.default_int_handler)\nwith cdcr.connect(timeout_s={PATIENCE_S}) as c:\n    "
+    text = f"import os, signal, cdcr\nsignal.signal(signal.SIGINT, signal.default_int_handler)\nwith cdcr.connect(timeout_s={TIMEOUT_S}) as c:\n    "
     if what == "status":
         # From a stopped daemon, whose last status is stale.
         text += f"os.kill({daemon.process.pid}, signal.SIGSTOP); __import__('time').sleep(1.5)\n    "
@@ -253,7 +253,7 @@ def test_ctrl_c_ends_every_wait(daemon: Daemon, what: str) -> None:
         time.sleep(0.5)
         assert program.poll() is None, program.stderr.read()
         program.send_signal(signal.SIGINT)
-        _, error = program.communicate(timeout=PATIENCE_S)
+        _, error = program.communicate(timeout=TIMEOUT_S)
     finally:
         program.kill()
         daemon.process.send_signal(signal.SIGCONT)

@@ -27,7 +27,7 @@
 //! * Enumerations travel as `u32`, because another process may write any bits. [`codes`] holds their values and the
 //!   checked conversion.
 //! * Every message starts with a [`Header`]: sender, sequence number and time. iceoryx2 does not report a killed peer,
-//!   so freshness is judged from these stamps.
+//!   so freshness is evaluated from these stamps.
 //!
 //! Messages have no logic: nothing here validates, computes or decides; `daemon/src/convert/` validates at the edge.
 //! The other modules hold what daemon and client share: folders, files, locks, permissions, shared-memory space, the

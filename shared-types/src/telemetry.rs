@@ -16,7 +16,7 @@ message! {
         sender_id: u64,
         /// `header.sequence` of the message.
         sequence: u64,
-        /// The daemon's clock when it judged the message; of a request that a cycle decided, that cycle's `handed_over_ns` \[ns,
+        /// The daemon's clock when it evaluated the message; of a request that a cycle decided, that cycle's `handed_over_ns` \[ns,
         /// `CLOCK_MONOTONIC`\].
         judged_ns: u64,
         /// [`codes::EventKind`](crate::codes::EventKind).

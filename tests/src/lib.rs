@@ -161,11 +161,11 @@ pub fn assert_says(output: &Output, status: i32, parts: &[&str]) -> String {
     } else {
         &output.stderr
     };
-    let said = String::from_utf8_lossy(stream);
+    let reported = String::from_utf8_lossy(stream);
     for part in parts {
-        assert!(said.contains(part), "{part}: {printed}");
+        assert!(reported.contains(part), "{part}: {printed}");
     }
-    said.into_owned()
+    reported.into_owned()
 }
 
 /// A reference that begins after one second and is tracked.

@@ -14,10 +14,10 @@ fn a_daemon_that_is_not_there_is_named() {
         .arg(scratch.path())
         .output()
         .expect("cdcr-view runs");
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{said}");
+    let reported = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{reported}");
     assert!(
-        said.contains("no daemon") && said.contains("nobody"),
-        "{said}"
+        reported.contains("no daemon") && reported.contains("nobody"),
+        "{reported}"
     );
 }

@@ -66,25 +66,28 @@ fn source(more: usize, assert: &str) -> String {
 #[test]
 fn c_lays_everything_out_as_rust_does() {
     for language in ["c11", "c17"] {
-        let said = refused("cc", language, &source(0, "_Static_assert"));
-        assert_eq!(said.expect("a C compiler"), "", "{language}");
+        let reported = refused("cc", language, &source(0, "_Static_assert"));
+        assert_eq!(reported.expect("a C compiler"), "", "{language}");
     }
     // With C99, the compiler checks the sizes, too.
-    let said = refused("cc", "c99", "#include \"cdcr.h\"\n");
-    assert_eq!(said.unwrap(), "");
+    let reported = refused("cc", "c99", "#include \"cdcr.h\"\n");
+    assert_eq!(reported.unwrap(), "");
 }
 
 #[test]
 fn a_wrong_offset_is_found() {
-    let said = refused("cc", "c11", &source(1, "_Static_assert")).unwrap();
-    assert!(said.contains("offsetof(CdcrHeader, sent_ns)"), "{said}");
+    let reported = refused("cc", "c11", &source(1, "_Static_assert")).unwrap();
+    assert!(
+        reported.contains("offsetof(CdcrHeader, sent_ns)"),
+        "{reported}"
+    );
 }
 
 #[test]
 fn cpp_lays_everything_out_as_rust_does() {
     for language in ["c++11", "c++20"] {
         match refused("c++", language, &source(0, "static_assert")) {
-            Some(said) => assert_eq!(said, "", "{language}"),
+            Some(reported) => assert_eq!(reported, "", "{language}"),
             None => skip(Need::Cpp, "no c++"),
         }
     }

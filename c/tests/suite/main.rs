@@ -34,7 +34,7 @@ fn refused(compiler: &str, language: &str, source: &str) -> Option<String> {
     stdin.write_all(source.as_bytes()).unwrap();
     drop(stdin);
     let output = child.wait_with_output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.success(), said.is_empty(), "{said}");
-    Some(said)
+    let reported = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.success(), reported.is_empty(), "{reported}");
+    Some(reported)
 }

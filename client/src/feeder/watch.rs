@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn only_verdicts_on_our_chunks_count() {
+    fn only_outcomes_of_our_chunks_count() {
         check(|watch, schedule| {
             let evaluate = |watch: &mut Watch, record| watch.evaluate(&record, schedule);
             assert!(evaluate(watch, with_event(8, 1, Outcome::NoLease)).is_ok());

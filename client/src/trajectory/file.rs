@@ -49,7 +49,7 @@ fn at(line: u64) -> impl FnOnce(Problem) -> Located {
 }
 
 /// One row of the file, checked by itself.
-struct Row {
+struct FileRow {
     time_s: f64,
     position_m: [f64; 3],
     quaternion: Option<[f64; 4]>,
@@ -123,7 +123,7 @@ impl FileTrajectory {
         trajectory.finish().map_err(|problem| (None, problem))
     }
 
-    fn push(&mut self, row: &Row) -> Result<(), Problem> {
+    fn push(&mut self, row: &FileRow) -> Result<(), Problem> {
         if let Some(&previous_s) = self.times_s.last()
             && row.time_s - previous_s < 1e-6
         {
@@ -232,7 +232,7 @@ impl Columns {
         })
     }
 
-    fn row(&self, record: &csv::StringRecord) -> Result<Row, Problem> {
+    fn row(&self, record: &csv::StringRecord) -> Result<FileRow, Problem> {
         let number = |index: usize, column: &'static str| {
             let text = record.get(index).unwrap_or("");
             match text.parse::<f64>() {
@@ -255,7 +255,7 @@ impl Columns {
             Some(places) => Some(unit(four(places, QUATERNION_COLUMNS)?)?),
             None => None,
         };
-        Ok(Row {
+        Ok(FileRow {
             time_s,
             position_m: [x, y, z],
             quaternion,
@@ -385,8 +385,8 @@ mod tests {
                 "ref.csv:4: t_s = 0.1",
             ),
         ] {
-            let said = message(text);
-            assert!(said.starts_with(start), "{said}");
+            let reported = message(text);
+            assert!(reported.starts_with(start), "{reported}");
         }
         assert!(message(header).contains("0 rows"));
     }
@@ -419,30 +419,30 @@ mod tests {
         let last = whole.rfind("0.2,").expect("there");
         let column = |text: &str| ["t_s", "x_m", "y_m", "z_m"][text.matches(',').count()];
         for end in last + 1..whole.len() {
-            let said = message(&whole[..end]);
+            let reported = message(&whole[..end]);
             let column = column(&whole[last..end]);
             assert!(
-                said.starts_with(&format!(
+                reported.starts_with(&format!(
                     "ref.csv:5: the file ends within this line, in column {column}"
                 )),
-                "{end}: {said}"
+                "{end}: {reported}"
             );
         }
-        let said = message("t_s,x_m,y_m,z_m");
-        assert!(said.contains("column z_m, at \"z_m\""), "{said}");
+        let reported = message("t_s,x_m,y_m,z_m");
+        assert!(reported.contains("column z_m, at \"z_m\""), "{reported}");
     }
 
     #[test]
     fn other_separators_and_a_missing_header_are_named() {
-        for (found, said) in [(';', "';'"), ('\t', "'\\t'"), (' ', "' '")] {
+        for (found, reported) in [(';', "';'"), ('\t', "'\\t'"), (' ', "' '")] {
             let text = "t_s,x_m,y_m,z_m\n0,0,0,0.3\n".replace(',', &found.to_string());
-            let start = format!("ref.csv:1: columns are separated by {said}");
+            let start = format!("ref.csv:1: columns are separated by {reported}");
             assert!(message(&text).starts_with(&start), "{}", message(&text));
         }
-        let said = message("0,0,0,0.3\n1,0,0,0.3\n");
+        let reported = message("0,0,0,0.3\n1,0,0,0.3\n");
         assert!(
-            said.starts_with("ref.csv:1: the header is missing"),
-            "{said}"
+            reported.starts_with("ref.csv:1: the header is missing"),
+            "{reported}"
         );
     }
 }

@@ -7,7 +7,7 @@
 use nalgebra::{SMatrix, SymmetricEigen};
 
 use super::motion::Bent;
-use super::pose_error::{self, PoseWeights, Row};
+use super::pose_error::{self, PoseWeights, ResidualRow};
 use super::problem::TrackingProblem;
 use crate::optimizer::Budget;
 use crate::reference::ReferenceSample;
@@ -115,7 +115,7 @@ fn differentiate(
     let mut gradient = |shape: &Configuration| {
         let mut sum = [0.0; COORDINATES_MAX];
         let tip = problem.robot.tip_jacobian(shape, &mut jacobian);
-        pose_error::residuals(&tip, &jacobian, target, weights, &mut |row: Row| {
+        pose_error::residuals(&tip, &jacobian, target, weights, &mut |row: ResidualRow| {
             for (sum, derivative) in sum.iter_mut().zip(row.derivatives) {
                 *sum += row.residual * derivative;
             }

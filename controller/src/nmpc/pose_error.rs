@@ -85,7 +85,7 @@ fn beyond_squared<const W: usize>(squared: Wide<W>, tolerance: f64) -> Wide<W> {
 }
 
 /// A residual and its derivatives with respect to the bend vectors.
-pub(super) struct Row {
+pub(super) struct ResidualRow {
     pub residual: f64,
     pub derivatives: [f64; COORDINATES_MAX],
 }
@@ -96,7 +96,7 @@ pub(super) fn residuals(
     jacobian: &Jacobian,
     target: &ReferenceSample,
     weights: &PoseWeights,
-    mut push: impl FnMut(Row),
+    mut push: impl FnMut(ResidualRow),
 ) {
     let scale = weights.position.sqrt();
     let error = tip.position_m - target.position_m;
@@ -105,7 +105,7 @@ pub(super) fn residuals(
         for (derivative, column) in derivatives.iter_mut().zip(jacobian.columns()) {
             *derivative = scale * column[axis];
         }
-        push(Row {
+        push(ResidualRow {
             residual: scale * error[axis],
             derivatives,
         });
@@ -134,7 +134,7 @@ fn chord_residuals(
     factor: f64,
     jacobian: &Jacobian,
     weights: &PoseWeights,
-    mut push: impl FnMut(Row),
+    mut push: impl FnMut(ResidualRow),
 ) {
     let errors = || axes.iter().map(|(is, wanted)| (is - wanted) * factor);
     let chord = errors()
@@ -174,7 +174,7 @@ fn chord_residuals(
                 let turn = spin.cross(is)[row] * factor;
                 derivatives[i] = scale * ((1.0 - share) * turn + along * error[row] * towards[i]);
             }
-            push(Row {
+            push(ResidualRow {
                 residual: scale * (1.0 - share) * error[row],
                 derivatives,
             });

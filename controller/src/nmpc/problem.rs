@@ -7,7 +7,7 @@ pub(super) use position_only::PositionOnly;
 use super::limits::{LIMITS, LimitRow, Limits};
 use super::motion::{ANGLES, Bent, Motion, VECTORS};
 use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
-use super::pose_error::{self, PoseWeights, Row};
+use super::pose_error::{self, PoseWeights, ResidualRow};
 use super::{Coordinates, NmpcSettings};
 use crate::optimizer::{
     Bounds, Budget, Evaluation, Incumbent, LinearModel, Problem, Reach, RowStage, Stages, WIDTH_MAX,
@@ -185,11 +185,17 @@ impl<'a> TrackingProblem<'a> {
             let mut jacobian = Jacobian::default();
             let tip = self.robot.tip_jacobian(shape, &mut jacobian);
             let weights = self.weights(at.index);
-            pose_error::residuals(&tip, &jacobian, target, &weights, &mut |mut row: Row| {
-                self.motion
-                    .to_control_derivatives(at.bends, &mut row.derivatives);
-                model.push(row.residual, &row.derivatives[..self.width()], at.stage);
-            });
+            pose_error::residuals(
+                &tip,
+                &jacobian,
+                target,
+                &weights,
+                &mut |mut row: ResidualRow| {
+                    self.motion
+                        .to_control_derivatives(at.bends, &mut row.derivatives);
+                    model.push(row.residual, &row.derivatives[..self.width()], at.stage);
+                },
+            );
         }
     }
 

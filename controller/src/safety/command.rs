@@ -315,8 +315,8 @@ mod tests {
             let most_m = if comes_to_rest { 0.01 - 1.001e-3 } else { 0.01 };
             let floor_m = after(&BendRates::zero(2)).clearance_m(&obstacle).min(most_m);
             // Ramps with play are tested in `play`.
-            let is_judged = !comes_to_rest || play_m == 0.0;
-            prop_assert!(!is_judged || after(&safe.rates).clearance_m(&obstacle) >= floor_m);
+            let is_checked = !comes_to_rest || play_m == 0.0;
+            prop_assert!(!is_checked || after(&safe.rates).clearance_m(&obstacle) >= floor_m);
             // Zero rates stay zero in every mode, in motion and at rest.
             for previous in [&previous, &BendRates::zero(2)] {
                 for comes_to_rest in [false, true] {

@@ -41,7 +41,7 @@ pub(super) struct Region {
     /// Largest permitted component.
     most: f64,
     path_s: f64,
-    rows: [Row; ROWS_MAX],
+    rows: [ConstraintRow; ROWS_MAX],
     /// For each row, the travelled distance below which it cannot be violated.
     clear_until: [f64; ROWS_MAX],
     row_count: usize,
@@ -75,7 +75,7 @@ pub(super) struct Sensitivity {
 
 /// normal · x ≥ bound, with a normal of length 1.
 #[derive(Debug, Clone, Copy)]
-struct Row {
+struct ConstraintRow {
     normal: Vector,
     bound: f64,
     /// Lower bound of `bound`, and the quantity that `bound` varies with.
@@ -107,7 +107,7 @@ impl Region {
         upper: [0.0; COORDINATES_MAX],
         most: 0.0,
         path_s: 0.0,
-        rows: [Row::ZERO; ROWS_MAX],
+        rows: [ConstraintRow::ZERO; ROWS_MAX],
         clear_until: [0.0; ROWS_MAX],
         row_count: 0,
         is_full: false,
@@ -133,7 +133,7 @@ impl Region {
     }
 
     /// Whether a half-space excludes a part of the box.
-    fn is_cut_by(&self, Row { normal, bound, .. }: &Row) -> bool {
+    fn is_cut_by(&self, ConstraintRow { normal, bound, .. }: &ConstraintRow) -> bool {
         // Components beyond the dimensions are zero in each normal and each side.
         let mut least = [0.0; COORDINATES_MAX];
         for (i, least) in least.iter_mut().enumerate() {
@@ -167,7 +167,7 @@ impl Region {
     }
 
     fn add(&mut self, normal: &Vector, fixed: f64, varies: Varies) {
-        let mut row = Row {
+        let mut row = ConstraintRow {
             normal: *normal,
             bound: 0.0,
             fixed,
@@ -185,7 +185,7 @@ impl Region {
         }
     }
 
-    fn push(&mut self, row: Row) {
+    fn push(&mut self, row: ConstraintRow) {
         self.is_full = self.row_count == ROWS_MAX;
         if !self.is_full {
             self.rows[self.row_count] = row;
@@ -330,7 +330,7 @@ impl Region {
     }
 
     /// The bound that is violated most at the present point; a NaN violates nothing.
-    fn most_violated(&mut self) -> Option<Row> {
+    fn most_violated(&mut self) -> Option<ConstraintRow> {
         let Found { at, travelled, .. } = &self.found;
         let (mut most, mut found) = (INSIDE, None);
         let mut look = |side: Side, bound: f64, violation: f64| {
@@ -356,8 +356,8 @@ impl Region {
         }
         found.map(|side| match side {
             Side::Row(index) => self.rows[index],
-            Side::Lower(i) => Row::axis(i, 1.0, self.sides[0][i], self.most),
-            Side::Upper(i) => Row::axis(i, -1.0, -self.sides[1][i], self.most),
+            Side::Lower(i) => ConstraintRow::axis(i, 1.0, self.sides[0][i], self.most),
+            Side::Upper(i) => ConstraintRow::axis(i, -1.0, -self.sides[1][i], self.most),
         })
     }
 }
@@ -370,7 +370,7 @@ enum Side {
     Upper(usize),
 }
 
-impl Row {
+impl ConstraintRow {
     const ZERO: Self = Self {
         normal: [0.0; COORDINATES_MAX],
         bound: 0.0,
@@ -419,7 +419,7 @@ impl Found {
     fn hold(&mut self) -> Option<()> {
         let Self { to, at, active, .. } = self;
         loop {
-            let violation = |row: &Row| row.bound - dot(&row.normal, to);
+            let violation = |row: &ConstraintRow| row.bound - dot(&row.normal, to);
             active.multipliers = active.solved(|i| violation(&active.rows[i]))?;
             let least = (0..active.count).min_by(|i, j| {
                 let [one, other] = [i, j].map(|i| active.multipliers[*i]);

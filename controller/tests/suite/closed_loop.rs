@@ -67,7 +67,7 @@ fn a_loop_refuses_a_start_of_another_robot() {
 }
 
 #[test]
-fn commands_keep_clear_for_as_long_as_a_robot_is_told_to_obey_them() {
+fn commands_keep_clear_for_as_long_as_a_robot_obeys_them() {
     let of = |(periods, deceleration_rad_s2)| {
         let closed = begin(PERIOD_S).unwrap();
         least_m(closed.with_stopping(periods, deceleration_rad_s2))
@@ -75,8 +75,11 @@ fn commands_keep_clear_for_as_long_as_a_robot_is_told_to_obey_them() {
     let [nearest_m, rests_m] = of(STOPPING);
     assert!(nearest_m < 0.0101 && rests_m >= 0.01 - 1e-12, "{rests_m} m");
     // With fewer periods or an infinite deceleration the robot keeps less; by default it stops at once.
-    let told = [(1.0, 40.0), (3.0, f64::INFINITY)].map(of);
-    for [nearest_m, rests_m] in [least_m(begin(PERIOD_S).unwrap())].into_iter().chain(told) {
+    let reported = [(1.0, 40.0), (3.0, f64::INFINITY)].map(of);
+    for [nearest_m, rests_m] in [least_m(begin(PERIOD_S).unwrap())]
+        .into_iter()
+        .chain(reported)
+    {
         assert!(
             (0.01..0.0101).contains(&nearest_m) && rests_m < 0.009,
             "{nearest_m} m, at rest {rests_m} m"

@@ -42,13 +42,13 @@ fn fast(solver: SolverKind, reference: Curve, steps: u32) -> Course {
 }
 
 /// Name, course and largest mean error of the tip.
-type Row = (&'static str, fn(SolverKind) -> Course, f64);
+type CourseRow = (&'static str, fn(SolverKind) -> Course, f64);
 
 /// On the spiral, a longer horizon accepts an early error for the part after it, which no plan can follow. A
 /// horizon that sees the end of the curve follows it all.
 #[test]
 fn fast_curves_among_obstacles_are_followed_within_the_budget() {
-    let rows: [Row; 8] = [
+    let rows: [CourseRow; 8] = [
         (
             "five times",
             |solver| Course::spiral(solver, 5.0, true),

@@ -253,8 +253,11 @@ fn a_margin_that_appears_neither_moves_nor_freezes_the_robot() {
         assert_eq!(safe_command(&unknown, desired).rates, rest);
     }
     // The reported clearance is that of the thickened body.
-    let told_m = safe_command(&moving, &rest).clearance_m;
-    assert!((told_m - (clear_m(&at) - 0.03)).abs() < 1e-9, "{told_m}");
+    let reported_m = safe_command(&moving, &rest).clearance_m;
+    assert!(
+        (reported_m - (clear_m(&at) - 0.03)).abs() < 1e-9,
+        "{reported_m}"
+    );
 }
 
 /// A section that moves further in a period than an obstacle is thick does not jump over it. Both ends of the

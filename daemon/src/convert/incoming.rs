@@ -153,7 +153,7 @@ pub fn measurement(
         return Err(Refused::whole(Outcome::WrongRobot));
     }
     match codes::Interface::try_from(message.interface) {
-        Ok(said) if said == interface => {}
+        Ok(reported) if reported == interface => {}
         Ok(_) => return Err(Refused::whole(Outcome::WrongInterface)),
         Err(_) => return Err(Refused::whole(Outcome::UnknownCode)),
     }

@@ -55,14 +55,14 @@ impl Probe {
         Self {
             fifo,
             pinned,
-            memory_lock: told(mlockall(MlockAllFlags::CURRENT).and_then(|()| munlockall())),
-            no_huge_pages: told(try_no_huge_pages()),
+            memory_lock: reported(mlockall(MlockAllFlags::CURRENT).and_then(|()| munlockall())),
+            no_huge_pages: reported(try_no_huge_pages()),
             rtprio_max: getrlimit(Resource::Rtprio).current,
             memlock_max_bytes: getrlimit(Resource::Memlock).current,
-            deep_sleep_lock: told(deep_sleep_lock.map(drop)),
-            shared_memory_bytes: told(shared_memory_bytes(folder)),
+            deep_sleep_lock: reported(deep_sleep_lock.map(drop)),
+            shared_memory_bytes: reported(shared_memory_bytes(folder)),
             shared_memory_files: free_files(folder),
-            root_in_memory: told(is_in_memory(folder)),
+            root_in_memory: reported(is_in_memory(folder)),
             shared_memory_mount: mount_point(folder),
             user_id: geteuid().as_raw(),
         }
@@ -70,14 +70,14 @@ impl Probe {
 }
 
 /// Converts the kernel's error to text.
-fn told<T, E: Display>(tried: Result<T, E>) -> Result<T, String> {
+fn reported<T, E: Display>(tried: Result<T, E>) -> Result<T, String> {
     tried.map_err(|error| error.to_string())
 }
 
 /// The first steps of the cycle thread, on a thread that ends right after them.
 fn try_thread(priority: i32, core: Option<usize>) -> (Result<(), String>, bool) {
     let trial = std::thread::spawn(move || {
-        let fifo = told(sys::set_fifo(priority));
+        let fifo = reported(sys::set_fifo(priority));
         let pin = |id| core_affinity::set_for_current(core_affinity::CoreId { id });
         (fifo, core.is_some_and(pin))
     });

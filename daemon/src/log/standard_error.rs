@@ -31,7 +31,7 @@ pub(super) struct Text {
 struct Counts {
     lost: AtomicUsize,
     /// Number of lost lines reported so far.
-    told: AtomicUsize,
+    reported: AtomicUsize,
     ending: AtomicBool,
 }
 
@@ -115,10 +115,10 @@ impl Write for Text {
     fn write(&mut self, line: &[u8]) -> Result<usize> {
         let lost = self.lost();
         // If the queue is full, the line is lost, too, and a later line reports the loss.
-        if lost != self.counts.told.load(Ordering::Relaxed)
+        if lost != self.counts.reported.load(Ordering::Relaxed)
             && self.queue.try_send((self.loss)(lost)).is_ok()
         {
-            self.counts.told.store(lost, Ordering::Relaxed);
+            self.counts.reported.store(lost, Ordering::Relaxed);
         }
         self.put(line.to_vec());
         Ok(line.len())
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn what_nobody_reads_is_lost_and_counted_and_said() {
+    fn what_nobody_reads_is_lost_and_counted_and_reported() {
         const LINES: usize = 100;
         const LINES_MAX: usize = 8;
         let (writer, takes, open, written) = unread();
@@ -225,9 +225,9 @@ mod tests {
             .map(|(a, b)| (a.to_owned(), b.to_owned()))
             .unwrap();
         assert_eq!(first.lines().count() + lost, LINES);
-        let said =
+        let reported =
             format!("lost {lost} log lines so far: the standard error is not read\nafter\nlast\n");
-        assert_eq!(end, said, "it is said once");
+        assert_eq!(end, reported, "it is reported once");
     }
 
     #[test]

@@ -132,10 +132,10 @@ mod tests {
             .sum();
         let taken_bytes = room.taken_bytes();
         assert!(taken_bytes >= sizes, "{taken_bytes} of {sizes}");
-        let said = daemon_bytes();
+        let reported = daemon_bytes();
         assert!(
-            (taken_bytes..taken_bytes + taken_bytes / 20).contains(&said),
-            "{said} said, {taken_bytes} taken"
+            (taken_bytes..taken_bytes + taken_bytes / 20).contains(&reported),
+            "{reported} reported, {taken_bytes} taken"
         );
     }
 

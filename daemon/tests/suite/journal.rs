@@ -145,7 +145,7 @@ fn lines_come_with_their_fields_when_the_standard_error_is_the_journal() {
             "{field}: {running:?}"
         );
     }
-    assert!(!text.contains("running"), "said twice: {text}");
+    assert!(!text.contains("running"), "reported twice: {text}");
 }
 
 #[test]

@@ -34,8 +34,11 @@ fn a_skipped_test_passes_and_is_told_and_fails_where_its_need_is_required() {
     for _ in 0..2 {
         let skipped = child("root,realtime");
         assert!(skipped.status.success(), "{}", text(&skipped));
-        let told = String::from_utf8_lossy(&skipped.stderr);
-        assert!(told.contains(": needs clock: it is a trial\n"), "{told}");
+        let reported = String::from_utf8_lossy(&skipped.stderr);
+        assert!(
+            reported.contains(": needs clock: it is a trial\n"),
+            "{reported}"
+        );
     }
     let lines = run.take().expect("a folder to write to");
     assert_eq!(lines.len(), 2, "{lines:?}");

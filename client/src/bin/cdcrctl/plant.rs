@@ -66,14 +66,14 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
     };
     let begun = Instant::now();
     let mut tip_due = begun;
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     while !interrupt.is_raised() {
         let update = robot.follow()?;
         if let Some(refusal) = update.refused {
             let kind = discriminant(&refusal);
-            told.retain(|(_, at): &(_, Instant)| at.elapsed() < REPEAT_INTERVAL);
-            if told.iter().all(|(other, _)| *other != kind) {
-                told.push((kind, Instant::now()));
+            reported.retain(|(_, at): &(_, Instant)| at.elapsed() < REPEAT_INTERVAL);
+            if reported.iter().all(|(other, _)| *other != kind) {
+                reported.push((kind, Instant::now()));
                 tell!("refused: {refusal} ({} so far)", robot.driver().refusals());
             }
         }

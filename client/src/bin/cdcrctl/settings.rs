@@ -234,8 +234,8 @@ mod tests {
             Change::parse(change)
                 .expect("in its range")
                 .apply(&mut wanted);
-            let said = broken_bound(&wanted, &status).expect(change);
-            assert!(said.contains(bound), "{change}: {said}");
+            let reported = broken_bound(&wanted, &status).expect(change);
+            assert!(reported.contains(bound), "{change}: {reported}");
         }
     }
 

@@ -344,7 +344,7 @@ fn a_value_that_stands_still_is_frozen_only_while_the_robot_should_move() {
         watch.check(&robot, &measured(0.2), 1050 * MS),
         Plausibility::Frozen
     );
-    // Said once, and again when it should have moved as far again.
+    // Reported once, and again when it should have moved as far again.
     assert_eq!(
         watch.check(&robot, &measured(0.2), 1051 * MS),
         Plausibility::Good

@@ -2,12 +2,12 @@
 
 use crate::robot::COORDINATES_MAX;
 
-use super::{Row, Vector, add, dot};
+use super::{ConstraintRow, Vector, add, dot};
 
 /// The active half-spaces and their multipliers.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Active {
-    pub(super) rows: [Row; COORDINATES_MAX],
+    pub(super) rows: [ConstraintRow; COORDINATES_MAX],
     pub(super) multipliers: Vector,
     pub(super) count: usize,
     /// Cholesky factor of Nᵀ N for the normals N, by row, in the order of addition.
@@ -16,7 +16,7 @@ pub(super) struct Active {
 
 impl Active {
     pub(super) const NONE: Self = Self {
-        rows: [Row::ZERO; COORDINATES_MAX],
+        rows: [ConstraintRow::ZERO; COORDINATES_MAX],
         multipliers: [0.0; COORDINATES_MAX],
         count: 0,
         factor: [[0.0; COORDINATES_MAX]; COORDINATES_MAX],
@@ -71,7 +71,7 @@ impl Active {
     }
 
     /// Adds a row; `forward` is [`Self::solved_forward`] of its products with the active rows.
-    pub(super) fn push(&mut self, row: Row, multiplier: f64, mut forward: Vector) {
+    pub(super) fn push(&mut self, row: ConstraintRow, multiplier: f64, mut forward: Vector) {
         let rest = dot(&row.normal, &row.normal) - dot(&forward, &forward);
         forward[self.count] = rest.max(0.0).sqrt();
         self.factor[self.count] = forward;

@@ -213,11 +213,11 @@ impl Scene {
     fn run_losing(&self, lost: &[bool], account: &mut Account) {
         let (_, mut nmpc) = self.nmpc();
         let (mut at, mut rates) = (self.start.clone(), vec![0.0; self.start.len()]);
-        let mut told = (
+        let mut reported = (
             0,
             self.moment(0.0, &at, &rates, &BendRates::zero(at.len() / 2)),
         );
-        let mut told_rates = rates.clone();
+        let mut sent_rates = rates.clone();
         let (mut interruptions, mut nearer_m) = (0, 0.0_f64);
         for cycle in 0..self.cycles {
             let name = format!("{}, cycle {cycle}, commands are lost", self.name);
@@ -239,15 +239,15 @@ impl Scene {
                 let command = moment.command();
                 account.take(&name, &moment, &command);
                 account.ask(&name, &moment, &command);
-                told_rates = command.rates.as_slice().to_vec();
-                told = (cycle, moment);
+                sent_rates = command.rates.as_slice().to_vec();
+                reported = (cycle, moment);
             }
-            let (since, moment) = &told;
-            let way = Way::new(moment, &moment.at, &told_rates);
+            let (since, moment) = &reported;
+            let way = Way::new(moment, &moment.at, &sent_rates);
             let time_s = f64::from(cycle + 1 - since) * PERIOD_S;
-            at = moved(&moment.at, &told_rates, way.stopping.way_s(time_s));
+            at = moved(&moment.at, &sent_rates, way.stopping.way_s(time_s));
             let share = way.stopping.share(time_s);
-            rates = told_rates.iter().map(|rate| share * rate).collect();
+            rates = sent_rates.iter().map(|rate| share * rate).collect();
             // At rest the robot stays, so moving obstacles may run into it.
             let end_s = way.stopping.end_s();
             let left_m = way.left_m(time_s.min(end_s));

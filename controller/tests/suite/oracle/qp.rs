@@ -36,12 +36,12 @@ pub(super) enum Motion {
 
 /// normal · rates ≥ bound.
 #[derive(Debug)]
-struct Row {
+struct RuleRow {
     normal: Vec<f64>,
     bound: f64,
 }
 
-impl Row {
+impl RuleRow {
     fn axis(i: usize, dimensions: usize, sign: f64, bound: f64) -> Self {
         let mut normal = vec![0.0; dimensions];
         normal[i] = sign;
@@ -57,7 +57,7 @@ impl Row {
 
 /// The point nearest to `desired_rates` inside all rows, by Hildreth's method: each multiplier in turn is set
 /// to the value that its row alone requires.
-fn nearest(desired_rates: &[f64], rows: &[Row]) -> Vec<f64> {
+fn nearest(desired_rates: &[f64], rows: &[RuleRow]) -> Vec<f64> {
     let mut at = desired_rates.to_vec();
     let mut multipliers = vec![0.0_f64; rows.len()];
     for _ in 0..SWEEPS {
@@ -111,10 +111,10 @@ impl Moment {
         nearest(&self.desired_rates, &rows)
     }
 
-    /// Rates of at least [`LEAST`] of the first of `wished` that satisfy every rule and are nearer to each of
-    /// `wished` than rest is, if the quadratic program finds some.
-    pub(super) fn way_out(&self, wished: &[&[f64]; 2]) -> Option<Motion> {
-        let desired_rates = wished[0];
+    /// Rates of at least [`LEAST`] of the first of `desired` that satisfy every rule and are nearer to each of
+    /// `desired` than rest is, if the quadratic program finds some.
+    pub(super) fn way_out(&self, desired: &[&[f64]; 2]) -> Option<Motion> {
+        let desired_rates = desired[0];
         let mut found = None;
         let mut rates = vec![0.0; desired_rates.len()];
         for _ in 0..PASSES {
@@ -133,9 +133,9 @@ impl Moment {
             for share in SHARES {
                 let candidate = rates.iter().map(|rate| share * rate).collect::<Vec<_>>();
                 // Sweeps that end early can give rates that are farther from the desired ones than rest is.
-                let is_nearer = wished
+                let is_nearer = desired
                     .iter()
-                    .all(|wished| norm(&moved(&candidate, wished, -1.0)) < norm(wished));
+                    .all(|desired| norm(&moved(&candidate, desired, -1.0)) < norm(desired));
                 if is_nearer
                     && norm(&candidate) >= LEAST * norm(desired_rates)
                     && self.hold(&candidate)
@@ -151,7 +151,7 @@ impl Moment {
     }
 
     /// Limits of rates up to `fastest_rad_s`, with the stopping path for a fastest component of `way_rad_s`.
-    fn limit_rows(&self, near: &[f64], fastest_rad_s: f64, way_rad_s: f64) -> Vec<Row> {
+    fn limit_rows(&self, near: &[f64], fastest_rad_s: f64, way_rad_s: f64) -> Vec<RuleRow> {
         let dimensions = self.desired_rates.len();
         let grows_rad_s = self.acceleration_rad_s2 * self.period_s;
         let mut rows = Vec::new();
@@ -161,10 +161,10 @@ impl Moment {
                 .min(fastest_rad_s);
             let lower = (previous.min(0.0) - grows_rad_s).max(-most);
             let upper = (previous.max(0.0) + grows_rad_s).min(most);
-            rows.push(Row::axis(i, dimensions, 1.0, lower));
-            rows.push(Row::axis(i, dimensions, -1.0, -upper));
+            rows.push(RuleRow::axis(i, dimensions, 1.0, lower));
+            rows.push(RuleRow::axis(i, dimensions, -1.0, -upper));
         }
-        let unit = |i| Row::axis(i, dimensions, 1.0, 0.0).normal;
+        let unit = |i| RuleRow::axis(i, dimensions, 1.0, 0.0).normal;
         let columns: Vec<Vec<f64>> = (0..dimensions)
             .map(|i| strokes_m(&self.parameters, &unit(i)))
             .collect();
@@ -176,7 +176,7 @@ impl Moment {
                 let fastest_m_s = self.parameters.cable_speed_max_m_s;
                 for sign in [1.0, -1.0] {
                     let room_m = (max_m - sign * stroke_m).max(0.0);
-                    rows.push(Row {
+                    rows.push(RuleRow {
                         normal: columns.iter().map(|column| -sign * column[cable]).collect(),
                         bound: -(room_m / way_s).min(fastest_m_s),
                     });
@@ -193,7 +193,7 @@ impl Moment {
                     let mut normal = vec![0.0; dimensions];
                     normal[2 * j] = -outwards[0];
                     normal[2 * j + 1] = -outwards[1];
-                    rows.push(Row {
+                    rows.push(RuleRow {
                         normal,
                         bound: -(most_rad - bent_rad) / way_s,
                     });
@@ -204,7 +204,7 @@ impl Moment {
     }
 
     /// The clearances after the period and at rest, linearised by finite differences at these rates.
-    fn clearance_rows(&self, near: &[f64]) -> Vec<Row> {
+    fn clearance_rows(&self, near: &[f64]) -> Vec<RuleRow> {
         let mut rows = Vec::new();
         for place in self.places() {
             // All obstacles that the desired rates could approach.
@@ -233,7 +233,7 @@ impl Moment {
                     };
                     let normal: Vec<f64> = less.iter().zip(&more).map(slope).collect();
                     let along: f64 = normal.iter().zip(near).map(|(n, rate)| n * rate).sum();
-                    rows.push(Row {
+                    rows.push(RuleRow {
                         bound: along - left_m + BEYOND_M,
                         normal,
                     });

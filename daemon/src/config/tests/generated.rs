@@ -118,13 +118,13 @@ fn complete(node: &mut Map<String, Value>, key: &str, parameter: &Parameter) {
 }
 
 #[test]
-fn every_key_has_words_and_every_number_a_range_that_is_said() {
+fn every_key_has_words_and_every_number_a_range_that_is_reported() {
     for key in keys::all() {
         let (name, parameter) = (&key.name, key.parameter);
         assert!(parameter.text().len() > 10, "{name}: {}", parameter.text());
-        let is_said = parameter.doc.iter().any(|line| line.contains("{range}"));
-        assert_eq!(is_said, parameter.range.is_some(), "{name}");
-        let has_range = is_said || name == "controller.seed";
+        let is_reported = parameter.doc.iter().any(|line| line.contains("{range}"));
+        assert_eq!(is_reported, parameter.range.is_some(), "{name}");
+        let has_range = is_reported || name == "controller.seed";
         if let Some(default) = &key.default {
             let is_number = default.is_float() || default.is_integer();
             let may_be = is_number || name == "controller.rate_weight";

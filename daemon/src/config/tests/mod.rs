@@ -42,8 +42,8 @@ fn assert_is(case: &[&str], mark: &str, words: &str) {
     match (settings(case).and_then(Settings::validate), mark) {
         (Ok(validated), "~") => {
             let warnings = warnings(&validated.config);
-            let is_told = warnings.len() == 1 && warnings[0].contains(words);
-            assert!(is_told, "{warnings:?}");
+            let is_reported = warnings.len() == 1 && warnings[0].contains(words);
+            assert!(is_reported, "{warnings:?}");
         }
         (Ok(validated), "ok") => assert_eq!(warnings(&validated.config), [""; 0]),
         (Ok(validated), ">") => {
@@ -150,15 +150,21 @@ fn an_error_quotes_no_more_than_a_line_however_long_the_value_is() {
 
 #[test]
 fn a_decimal_comma_is_told_what_to_write() {
-    let told = "numbers have a decimal point: 0.25, not 0,25";
+    let reported = "numbers have a decimal point: 0.25, not 0,25";
     let [plain, long] = ["", " # é"].map(|end| {
         let comment = end.repeat(100);
         error_of(&format!("[controller]\nposition_weight = 0,25{comment}"))
     });
-    assert!(plain.contains("line 2") && plain.ends_with(told), "{plain}");
-    assert!(long.contains("line 2: ") && long.ends_with(told), "{long}");
+    assert!(
+        plain.contains("line 2") && plain.ends_with(reported),
+        "{plain}"
+    );
+    assert!(
+        long.contains("line 2: ") && long.ends_with(reported),
+        "{long}"
+    );
     let other = error_of("[controller]\nposition_weight = 0 25");
-    assert!(!other.contains(told), "{other}");
+    assert!(!other.contains(reported), "{other}");
 }
 
 #[test]
@@ -229,8 +235,8 @@ fn every_number_is_refused_just_outside_its_range() {
         };
         for value in outside {
             let message = error_of(&with(value));
-            let is_told = message.contains(name) && message.contains("line");
-            assert!(is_told, "{message}");
+            let is_reported = message.contains(name) && message.contains("line");
+            assert!(is_reported, "{message}");
         }
         for value in [low, high] {
             let result = Config::parse(&with(value), Path::new("x"));

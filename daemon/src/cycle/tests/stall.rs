@@ -130,8 +130,12 @@ fn rates_grow_from_rest_after_a_stall_inside_the_cycle() {
         let record = trial.turn();
         assert!(matches!(record.mode, Mode::Tracking { .. }));
         // The solver began with the rates that were valid then.
-        let told = fastest(&record.previous_rates);
-        assert_eq!(told == 0.0, knows, "{interface:?}, {reading_ms}: {told}");
+        let reported = fastest(&record.previous_rates);
+        assert_eq!(
+            reported == 0.0,
+            knows,
+            "{interface:?}, {reading_ms}: {reported}"
+        );
         assert!(fastest(&record.rates) <= MOST_RAD_S2 * PERIOD_S * (1.0 + 1e-12));
     }
 }
@@ -143,8 +147,12 @@ fn a_ramp_does_not_begin_again_after_a_stall_inside_the_cycle() {
         assert!(!is_at_rest(&trial.ask(Request::Stop)));
         trial.clock.step_ns.set(reading_ms * 1_000_000);
         let record = trial.turn();
-        let told = fastest(&record.previous_rates);
-        assert_eq!(told == 0.0, knows, "{interface:?}, {reading_ms}: {told}");
+        let reported = fastest(&record.previous_rates);
+        assert_eq!(
+            reported == 0.0,
+            knows,
+            "{interface:?}, {reading_ms}: {reported}"
+        );
         assert!(record.ran_out_in_solve);
         assert!(is_at_rest(&record), "{interface:?}, {reading_ms}");
     }

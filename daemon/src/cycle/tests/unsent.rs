@@ -61,15 +61,15 @@ fn the_model_knows_of_commands_that_did_not_leave() {
     for interface in BOTH {
         let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), LONG);
         let way_rad = hold_up(&mut trial, HELD_UP);
-        let told = trial.last();
-        let beside_rad = largest_apart(&told.present, &trial.at_release);
+        let reported = trial.last();
+        let beside_rad = largest_apart(&reported.present, &trial.at_release);
         println!("{interface:?}: {beside_rad:.4} rad beside, {way_rad:.4} rad were not sent");
         assert!(way_rad > 0.01, "{way_rad}");
         // Zero and droop of the laboratory's robot are 0.1 mm each, 0.008 rad.
         assert!(beside_rad < 0.02, "{interface:?}: {beside_rad}");
         let first = trial.turn();
         assert!(first.following.largest_rad() < 0.02 + 0.2 * way_rad);
-        assert!(largest_apart(&first.configuration, &told.configuration) < 0.005);
+        assert!(largest_apart(&first.configuration, &reported.configuration) < 0.005);
         // Tracking then continues normally.
         trial.begin_tracking();
         assert!(trial.turns(200).following.largest_rad() < 0.1);

@@ -174,18 +174,18 @@ fn who_floods_obstacles_neither_keeps_another_out_nor_makes_a_gather_long() {
             flood(&crowd, Service::Obstacles, || message(&rig));
             let before: u64 = rig.exchange.events.outcomes().iter().sum();
             rig.gather();
-            let judged = rig.exchange.events.outcomes().iter().sum::<u64>() - before;
-            assert_eq!(judged, gather::UPDATES_PER_GATHER as u64);
+            let evaluated = rig.exchange.events.outcomes().iter().sum::<u64>() - before;
+            assert_eq!(evaluated, gather::UPDATES_PER_GATHER as u64);
             gathers += 1;
             // Two messages from each of eight senders are 16, and a round may have begun.
             assert!(gathers <= 4);
         }
         // Each outcome is reported.
-        let told = std::iter::from_fn(|| {
+        let reported = std::iter::from_fn(|| {
             let (events, count) = rig.exchange.events.report(u64::MAX);
             (count > 0).then_some(events)
         });
-        assert!(told.flatten().any(|event| event.sender_id == 4));
+        assert!(reported.flatten().any(|event| event.sender_id == 4));
         rig.send_update(4, ObstacleAction::Clear, &[]);
         rig.gather_for(100);
     }

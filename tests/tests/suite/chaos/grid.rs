@@ -56,7 +56,7 @@ pub(crate) fn check_pair(before: &Telemetry, record: &Telemetry) -> Result<bool,
     }
     let elapsed_ns = record.release_ns - before.release_ns;
     ensure(record.elapsed_ns == elapsed_ns, || {
-        format!("{elapsed_ns} ns passed, {} are told", record.elapsed_ns)
+        format!("{elapsed_ns} ns passed, {} are reported", record.elapsed_ns)
     })?;
     ensure(
         record.skipped_periods_total == before.skipped_periods_total + skipped,

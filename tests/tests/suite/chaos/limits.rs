@@ -164,9 +164,9 @@ mod tests {
 
     #[test]
     fn each_limit_is_held() {
-        let verdict = |rates, from| check(&robot(), &command(rates, from), 0.005);
+        let checked = |rates, from| check(&robot(), &command(rates, from), 0.005);
         let (slow, straight) = ([0.5, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 6]);
-        assert_eq!(verdict(slow, straight), Ok(()));
+        assert_eq!(checked(slow, straight), Ok(()));
         for (rates, from, word) in [
             ([2.1, 0.0, 0.0, 0.0, 0.0, 0.0], straight, "2.1 rad/s"),
             (slow, [2.7999, 0.0, 0.0, 0.0, 0.0, 0.0], "section 0"),
@@ -174,12 +174,12 @@ mod tests {
             (slow, [1.0, 0.0, 1.0, 0.0, 1.5, 0.0], "a cable"),
             ([f64::NAN; 6], straight, "not finite"),
         ] {
-            let broken = verdict(rates, from).unwrap_err();
+            let broken = checked(rates, from).unwrap_err();
             assert!(broken.contains(word), "{word}: {broken}");
         }
         // Beyond a limit it may return.
         assert_eq!(
-            verdict(
+            checked(
                 [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0],
                 [2.9, 0.0, 0.0, 0.0, 0.0, 0.0]
             ),

@@ -201,7 +201,7 @@ impl ModeWatch {
         while let Some(change) = self.waiting.front()
             && change.number + TIMEOUT_RECORDS < self.records
         {
-            self.judge_oldest()?;
+            self.check_oldest()?;
         }
         Ok(())
     }
@@ -214,7 +214,7 @@ impl ModeWatch {
     /// Checks the remaining changes.
     pub(crate) fn finish(&mut self) -> CheckResult {
         while !self.waiting.is_empty() {
-            self.judge_oldest()?;
+            self.check_oldest()?;
         }
         Ok(())
     }
@@ -230,7 +230,7 @@ impl ModeWatch {
         }
     }
 
-    fn judge_oldest(&mut self) -> CheckResult {
+    fn check_oldest(&mut self) -> CheckResult {
         let Some(change) = self.waiting.pop_front() else {
             return Ok(());
         };
@@ -311,7 +311,7 @@ mod tests {
 
     #[test]
     fn a_change_waits_for_its_event() {
-        let verdict = |says_so: bool| {
+        let checked = |says_so: bool| {
             let mut watch = ModeWatch::default();
             watch.look(&record(1, STOPPED), true).unwrap();
             watch.look(&record(2, HOLDING), true).unwrap();
@@ -323,21 +323,21 @@ mod tests {
             watch.look(&later, true).unwrap();
             watch.finish()
         };
-        assert_eq!(verdict(true), Ok(()));
-        assert!(verdict(false).is_err());
+        assert_eq!(checked(true), Ok(()));
+        assert!(checked(false).is_err());
     }
 
     #[test]
     fn a_signal_stops_as_often_as_one_may_have_been_sent() {
-        let verdict = |most: u64| {
+        let checked = |most: u64| {
             let mut watch = ModeWatch::default();
             watch.may_have_signals(most);
             watch.look(&record(1, HOLDING), true).unwrap();
             watch.look(&record(2, STOPPED), true).unwrap();
             watch.finish()
         };
-        assert!(verdict(0).is_err());
-        assert_eq!(verdict(1), Ok(()));
+        assert!(checked(0).is_err());
+        assert_eq!(checked(1), Ok(()));
         let mut watch = ModeWatch::default();
         watch.may_have_signals(1);
         watch.look(&record(1, STOPPED), true).unwrap();

@@ -79,8 +79,8 @@ impl Seen {
             Outcome::BufferFull,
         ];
         let kinds = kinds.map(|kind| {
-            let judged = self.outcomes.get(kind.text()).copied();
-            (kind.text(), judged.unwrap_or(0), 0)
+            let evaluated = self.outcomes.get(kind.text()).copied();
+            (kind.text(), evaluated.unwrap_or(0), 0)
         });
         let is_long = duration >= KINDS_TAKE;
         let kinds = kinds.into_iter().filter(|_| is_long);

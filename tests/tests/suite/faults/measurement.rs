@@ -98,8 +98,8 @@ fn a_late_measurement_is_moved_on_by_its_age_and_counted() {
         };
         trail.until_while("holding", || turn(&mut robot), is(Mode::Holding));
         go_home(&connection, &mut trail, || turn(&mut robot))?;
-        let mut judged = 0;
-        while judged < 50 {
+        let mut checked = 0;
+        while checked < 50 {
             let (_, record) = trail.until_while("a record", || turn(&mut robot), |_| true);
             if is_held_by_a_stall(&record) {
                 return None;
@@ -115,7 +115,7 @@ fn a_late_measurement_is_moved_on_by_its_age_and_counted() {
             let way_rad = trail.history().way_rad(record.measurement.measured_ns);
             let error = (record.bend_rad[0] - record.measurement.bend_rad[0] - way_rad).abs();
             assert!(error < 1e-9, "{error} rad beside, {age_ns} ns old");
-            judged += 1;
+            checked += 1;
         }
         // A pause within the timeout: predicted and counted, without a fault.
         let before = connection
@@ -185,7 +185,7 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
         // One sensor repeats its value with new stamps; the others work.
         let mut measured = robot.sensed_rad();
         let frozen_rad = measured[0];
-        let (mut frozen_at_rad, mut way_rad, mut judged_rad) = (None, 0.0, 0.0);
+        let (mut frozen_at_rad, mut way_rad, mut checked_rad) = (None, 0.0, 0.0);
         let (_, now) = trail.until_while(
             "the fault",
             || {
@@ -206,7 +206,7 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
                 }
                 let is_fault = record.mode == Mode::Faulted.code();
                 if state(record) == MeasurementState::Used && !is_fault {
-                    judged_rad = way_rad;
+                    checked_rad = way_rad;
                 }
                 is_fault
             },
@@ -220,7 +220,7 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
             "measurement frozen: after {way_rad:.6} rad of commanded way, {limit_rad} are allowed"
         );
         // The previous measurement was within the tolerance, and this one is not.
-        assert!(judged_rad <= limit_rad * 1.000_001 && way_rad >= limit_rad * 0.999_999);
+        assert!(checked_rad <= limit_rad * 1.000_001 && way_rad >= limit_rad * 0.999_999);
         assert_ramps_to_rest(&mut trail, &now, || {
             robot.measure(measured);
         });

@@ -83,8 +83,8 @@ fn assert_survives_full_memory(test: &str, realtime: &str) {
             assert!(daemon.runs(), "the daemon died of a client without room");
         }
         let other = daemon.place().cdcrctl(&["hold"]);
-        let is_told = other.status.success() || text(&other).contains("is full");
-        assert!(is_told, "{}", text(&other));
+        let is_reported = other.status.success() || text(&other).contains("is full");
+        assert!(is_reported, "{}", text(&other));
         // The daemon publishes a few status messages with the remaining memory.
         std::thread::sleep(2 * STATUS_PERIOD);
     }
@@ -122,8 +122,8 @@ fn too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through()
         return;
     }
     let mut daemon = Daemon::start("[cycle]\nmiss_limit = 1000000\n");
-    let said = doctor(daemon.place());
-    assert!(!said.contains("nr_inodes="), "{said}");
+    let reported = doctor(daemon.place());
+    assert!(!reported.contains("nr_inodes="), "{reported}");
     // Without any file, and with so few that each client fails at another step of its connection.
     for files in [0, 3, 6, 8, 12, 16] {
         let _filled = Filled::but_files(files);

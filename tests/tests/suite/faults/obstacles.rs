@@ -169,10 +169,10 @@ fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
 const UPDATES_PER_GATHER: u32 = 8;
 
 /// Counts the updates in the record by the gather that checked them.
-fn count_updates(record: &Telemetry, judged: &mut BTreeMap<u64, u32>) {
+fn count_updates(record: &Telemetry, evaluated: &mut BTreeMap<u64, u32>) {
     let is_update = |event: &&InputEvent| event.kind == EventKind::Obstacles.code();
     for event in events(record).iter().filter(is_update) {
-        *judged
+        *evaluated
             .entry(record.gather - u64::from(event.gathers_ago))
             .or_default() += 1;
     }
@@ -197,16 +197,16 @@ fn floods_of_obstacles_keep_nobody_out_and_give_a_gather_no_more_work() {
         });
         // The last client to connect, beside six that never pause.
         let sender = connection.obstacle_sender().unwrap();
-        let mut judged = BTreeMap::new();
+        let mut evaluated = BTreeMap::new();
         for _ in 0..20 {
             let (_, answer) = tell(&mut trail, &sender, &[ball(63, [0.3, 0.0, 0.3])]);
             assert_eq!(answer.outcome, Outcome::Accepted.code());
             for _ in 0..20 {
                 let (_, record) = trail.until("the next record", |_| true);
-                count_updates(&record, &mut judged);
+                count_updates(&record, &mut evaluated);
             }
         }
-        let most = judged.into_values().max().unwrap();
+        let most = evaluated.into_values().max().unwrap();
         assert!(
             (2..=UPDATES_PER_GATHER).contains(&most),
             "{most} in a gather"

@@ -106,7 +106,7 @@ fn a_reference_that_ends_is_held_at_the_next_release() {
 }
 
 /// The event of a chunk in its record.
-fn verdict(record: &Telemetry, header: &Header) -> Option<(Outcome, u64)> {
+fn outcome_of(record: &Telemetry, header: &Header) -> Option<(Outcome, u64)> {
     let event = event_about(record, EventKind::Reference, header)?;
     Some((Outcome::try_from(event.outcome).unwrap(), event.judged_ns))
 }
@@ -117,7 +117,7 @@ fn points_that_come_too_late_are_refused_and_the_rest_is_followed() {
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
     let mut refused = 0;
-    until_undisturbed("the verdict comes before the reference ends", || {
+    until_undisturbed("the outcome comes before the reference ends", || {
         refuse_late_points(&connection, &mut trail, &mut refused)
     });
     let code = Outcome::InThePast.code() as usize;
@@ -142,23 +142,23 @@ fn refuse_late_points(connection: &Connection, trail: &mut Trail, refused: &mut 
         .feed
         .send(ChunkMode::Append, Interpolation::Cubic, &late)
         .unwrap();
-    let (mut judged, mut is_held) = (None, false);
-    let (_, now) = trail.until("the verdict", |record| {
+    let (mut outcome, mut is_held) = (None, false);
+    let (_, now) = trail.until("the outcome", |record| {
         *refused += in_the_past(record);
-        judged = verdict(record, &header);
+        outcome = outcome_of(record, &header);
         is_held |= record.mode == Mode::Holding.code();
-        judged.is_some()
+        outcome.is_some()
     });
-    let (outcome, judged_ns) = judged.unwrap();
+    let (outcome, evaluated_ns) = outcome.unwrap();
     assert_eq!(outcome, Outcome::InThePast);
-    let bound_ns = 2 * now.period_ns + trail.history().late_since_ns(judged_ns);
-    let told_ns = now.release_ns.saturating_sub(judged_ns);
+    let bound_ns = 2 * now.period_ns + trail.history().late_since_ns(evaluated_ns);
+    let reported_ns = now.release_ns.saturating_sub(evaluated_ns);
     say(
-        "reference late, judged before the release",
-        told_ns,
+        "reference late, evaluated before the release",
+        reported_ns,
         bound_ns,
     );
-    assert!(told_ns <= bound_ns);
+    assert!(reported_ns <= bound_ns);
     if is_held && now.release_ns > feeding.end_ns {
         return None;
     }

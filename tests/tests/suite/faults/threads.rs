@@ -160,8 +160,8 @@ fn a_hung_exchange_thread_ends_the_process() {
 /// Checks that an error about silence says that the process runs, without a hint how to start it.
 fn assert_says_it_runs(error: &LinkError, process: u32) {
     let text = error.to_string();
-    let is_said = text.contains(&format!("it runs (process {process})"));
-    assert!(is_said && !text.contains("cdcrd run"), "{text}");
+    let is_reported = text.contains(&format!("it runs (process {process})"));
+    assert!(is_reported && !text.contains("cdcrd run"), "{text}");
 }
 
 #[test]

@@ -31,14 +31,14 @@ fn robot(sections: u32) -> Robot {
 fn evaluate(step: &Step, robot: &Robot) -> bool {
     match step {
         Step::Robot(_) | Step::Run(_) => true,
-        Step::Chunk(chunk) => judge_chunk(chunk, robot),
-        Step::Update(update) => judge_update(update),
-        Step::Measurement(message) => judge_measurement(message, robot),
-        Step::Request(request) => judge_request(request),
+        Step::Chunk(chunk) => accepts_chunk(chunk, robot),
+        Step::Update(update) => accepts_update(update),
+        Step::Measurement(message) => accepts_measurement(message, robot),
+        Step::Request(request) => accepts_request(request),
     }
 }
 
-fn judge_chunk(chunk: &message::ReferenceChunk, robot: &Robot) -> bool {
+fn accepts_chunk(chunk: &message::ReferenceChunk, robot: &Robot) -> bool {
     let points: Vec<ReferencePoint> = match reference_points(chunk, robot, BEGIN_NS) {
         Ok(points) => points.collect(),
         Err(refused) => {
@@ -82,7 +82,7 @@ fn judge_chunk(chunk: &message::ReferenceChunk, robot: &Robot) -> bool {
     true
 }
 
-fn judge_update(update: &message::ObstacleUpdate) -> bool {
+fn accepts_update(update: &message::ObstacleUpdate) -> bool {
     let Ok(set) = updated_obstacles(update, &ObstacleSet::default(), BEGIN_NS) else {
         return false;
     };
@@ -101,7 +101,7 @@ fn judge_update(update: &message::ObstacleUpdate) -> bool {
     true
 }
 
-fn judge_measurement(message: &message::Measurement, robot: &Robot) -> bool {
+fn accepts_measurement(message: &message::Measurement, robot: &Robot) -> bool {
     let Ok(timed) = measurement(message, robot, Interface::Velocity, BEGIN_NS) else {
         return false;
     };
@@ -113,7 +113,7 @@ fn judge_measurement(message: &message::Measurement, robot: &Robot) -> bool {
     true
 }
 
-fn judge_request(request: &message::Request) -> bool {
+fn accepts_request(request: &message::Request) -> bool {
     let Ok(kind) = RequestKind::try_from(request.kind) else {
         return false;
     };
@@ -150,7 +150,7 @@ fn try_bytes<T: Fields + Default + 'static>(to_step: impl Fn(T) -> Step) {
 }
 
 #[test]
-fn any_bytes_are_judged_without_a_panic() {
+fn any_bytes_are_checked_without_a_panic() {
     try_bytes(Step::Chunk);
     try_bytes(Step::Update);
     try_bytes(Step::Measurement);

@@ -101,8 +101,9 @@ fn what_makes_a_recorder_wait_loses_nothing() {
     let (mut unread, mut full) = std::io::pipe().unwrap();
     // One page, independent of the page size and of the default capacity of pipes.
     let room = rustix::pipe::fcntl_setpipe_size(&full, 1).unwrap();
-    let told = "waiting for mode; Ctrl-C to end\n";
-    full.write_all(&vec![b'.'; room - 1 - told.len()]).unwrap();
+    let reported = "waiting for mode; Ctrl-C to end\n";
+    full.write_all(&vec![b'.'; room - 1 - reported.len()])
+        .unwrap();
     let mut command = daemon.place().command("cdcrctl");
     let line = "record --around mode --before 0s --after 1s -o run.mcap";
     command.args(line.split(' '));
@@ -177,8 +178,8 @@ fn the_scope_waits_draws_and_records() {
         ask_for(&connection, RequestKind::Stop);
         Some((daemon, output_of_one_that_ends(scope)?))
     });
-    let said = assert_says(&output, 0, &["mode in cycle", "stopped", "response [us]"]);
-    assert!(said.lines().count() > 15, "{said}");
+    let reported = assert_says(&output, 0, &["mode in cycle", "stopped", "response [us]"]);
+    assert!(reported.lines().count() > 15, "{reported}");
     assert!(
         info(&daemon, "shot.mcap")["modes"]["stopped"]
             .as_u64()

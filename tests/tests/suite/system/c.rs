@@ -75,13 +75,13 @@ fn the_client_in_c_feeds_and_watches() {
     let daemon = Daemon::start(PATIENT);
     let program = built(daemon.place(), "examples/feed.c", Linked::Shared);
     let output = Program::start(&mut daemon.place().command_of(&program)).output();
-    let said = assert_says(&output, 0, &["robot cdcr: 3 sections, 0.9 m"]);
-    let tracked: u64 = said
+    let reported = assert_says(&output, 0, &["robot cdcr: 3 sections, 0.9 m"]);
+    let tracked: u64 = reported
         .split(" cycles tracked")
         .next()
         .and_then(|begin| begin.lines().last()?.parse().ok())
-        .unwrap_or_else(|| panic!("{said}"));
-    assert!(tracked > 20, "{said}");
+        .unwrap_or_else(|| panic!("{reported}"));
+    assert!(tracked > 20, "{reported}");
 }
 
 /// A case of `c/tests/probe.c`.

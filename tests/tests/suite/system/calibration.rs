@@ -258,8 +258,8 @@ fn an_exciting_path_that_cannot_be_is_refused_before_anything_moves() {
     );
     // The named duration is enough.
     let line = "cdcrctl calibrate excite -o moved.csv --dry-run --duration";
-    let said = place.says(&format!("{line} 5s"), 1, &["use --duration "]);
-    let (_, needed) = said.split_once("use --duration ").unwrap();
+    let reported = place.says(&format!("{line} 5s"), 1, &["use --duration "]);
+    let (_, needed) = reported.split_once("use --duration ").unwrap();
     let (needed, _) = needed.split_once(' ').unwrap();
     place.says(&format!("{line} {needed}"), 0, &["length"]);
     place.says(
@@ -415,7 +415,7 @@ fn a_recording_tells_what_its_rows_tell() {
     }
     // Detected by its first bytes, independent of the name.
     fs::copy(&whole, folder.join("whole.dat")).unwrap();
-    for (arguments, status, said) in [
+    for (arguments, status, reported) in [
         ("cut.mcap", 0, "length of section 1"),
         ("whole.dat", 0, "length of section 1"),
         ("begun.mcap", 1, "contains no telemetry of cdcrd"),
@@ -429,15 +429,15 @@ fn a_recording_tells_what_its_rows_tell() {
         ),
     ] {
         let line = format!("cdcrctl calibrate geometry {arguments}");
-        daemon.place().says(&line, status, &[said]);
+        daemon.place().says(&line, status, &[reported]);
     }
 
     let mut command = daemon.place().command("cdcrctl");
     let geometry = ["calibrate", "geometry", "cut.mcap"];
     let output = command.args(geometry).current_dir(&folder).output();
-    let said = text(&output.unwrap());
+    let reported = text(&output.unwrap());
     let repair = "cut.mcap is truncated: only complete messages were read; recover them with `cdcrctl info --repair cut.mcap`";
-    assert!(said.contains(repair), "{said}");
+    assert!(reported.contains(repair), "{reported}");
 
     let without_tip = Daemon::start(PATIENT);
     let place = without_tip.place();

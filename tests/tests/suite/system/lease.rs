@@ -48,19 +48,19 @@ fn two_clients_one_lease() {
         (feed, header)
     };
     let (_feed, header) = send(&second);
-    let verdict = telemetry
+    let outcome = telemetry
         .outcome_on(EventKind::Reference, &header, TIMEOUT)
         .unwrap();
-    assert_eq!(verdict, Outcome::NoLease);
+    assert_eq!(outcome, Outcome::NoLease);
     let code = Outcome::NoLease.code() as usize;
     wait_status(&first, |status| status.outcomes[code] == 1);
 
     lease.renew().unwrap();
     let (_feed, header) = send(&first);
-    let verdict = telemetry
+    let outcome = telemetry
         .outcome_on(EventKind::Reference, &header, TIMEOUT)
         .unwrap();
-    assert_eq!(verdict, Outcome::Accepted);
+    assert_eq!(outcome, Outcome::Accepted);
 
     lease.release().unwrap();
     let lease = second.acquire_lease_within(TIMEOUT).unwrap();

@@ -95,8 +95,8 @@ fn a_curve_and_a_file_are_changed_before_they_are_sent() {
         .replace("z_m\n", "z_m,qx,qy,qz,qw\n")
         .replace(".85\n", ".85,0,0,0,1\n");
     daemon.place().write("turned.csv", &turned);
-    let said = says(&daemon, "ref file turned.csv --plane xz", 1);
-    assert!(said.contains("orientations"), "{said}");
+    let reported = says(&daemon, "ref file turned.csv --plane xz", 1);
+    assert!(reported.contains("orientations"), "{reported}");
 }
 
 #[test]
@@ -129,19 +129,19 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     // Also without a request for it: the first unreachable point, not the farthest one.
     let before_m = tip_m(&daemon);
     let far = "ref line --start 0,0,0.85 --velocity 0,0,0.1 --duration 2s --track";
-    let said = daemon
+    let reported = daemon
         .place()
         .says(&format!("cdcrctl {far}"), 1, &["first point"]);
-    let (_, after) = said.split_once("at ").unwrap();
+    let (_, after) = reported.split_once("at ").unwrap();
     let time_s: f64 = after.split(' ').next().unwrap().parse().unwrap();
     // The robot is 0.9 m long, and 1 mm is allowed.
-    assert!((time_s - 0.51).abs() < 0.02, "{said}");
+    assert!((time_s - 0.51).abs() < 0.02, "{reported}");
     // Noise of the estimate; to the first unreachable point it is 51 mm.
-    assert!(distance_m(tip_m(&daemon), before_m) < 0.01, "{said}");
+    assert!(distance_m(tip_m(&daemon), before_m) < 0.01, "{reported}");
     // The approach may end before the spiral begins; it still counts.
     let spiral = "ref spiral --track --lead 1s --max-error 100mm";
-    let said = until_undisturbed(spiral, || says_unless_stalled(&daemon, spiral));
-    assert!(said.contains("approached in"), "{said}");
+    let reported = until_undisturbed(spiral, || says_unless_stalled(&daemon, spiral));
+    assert!(reported.contains("approached in"), "{reported}");
 }
 
 /// Output of a command that succeeds, and the largest speed of the tip meanwhile \[m/s\].
@@ -171,9 +171,9 @@ fn a_curve_begins_without_a_jump_where_the_tip_is_brought_to_its_first_point() {
     // For a path at 0.05 m/s; after a stall of the machine, the tip catches up.
     until_undisturbed("the tip moves slowly", || {
         says(&daemon, "goto 0.02,0,0.89 --speed 0.5 --acceleration 5", 0);
-        let (said, blends_m_s) = says_and_speed(&daemon, &format!("{curve} --blend"));
-        assert!(said.contains("mm from the point"), "{said}");
-        assert!(said.contains("tracked to its end"), "{said}");
+        let (reported, blends_m_s) = says_and_speed(&daemon, &format!("{curve} --blend"));
+        assert!(reported.contains("mm from the point"), "{reported}");
+        assert!(reported.contains("tracked to its end"), "{reported}");
         println!("{jumps_m_s} m/s, {blends_m_s} m/s");
         (blends_m_s < 0.5 * jumps_m_s).then_some(())
     });
@@ -258,10 +258,10 @@ fn a_simulated_robot_that_follows_nothing_says_so_once() {
     std::thread::sleep(Duration::from_secs(1));
     other.signal(Signal::INT);
     let printed = text(&other.output());
-    let told = printed
+    let reported = printed
         .matches("the first commanded position differs")
         .count();
-    assert_eq!(told, 1, "{printed}");
+    assert_eq!(reported, 1, "{printed}");
 }
 
 #[test]

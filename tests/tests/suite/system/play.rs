@@ -69,7 +69,7 @@ fn references_and_obstacles_of_a_recording_are_fed_again_and_the_robot_holds() {
     let late = wait_record(&mut telemetry, |record| record.mode == Mode::Holding.code());
     let moved = (0..3).any(|i| (late.tip_position_m[i] - begin_m[i]).abs() > 1e-3);
     assert!(moved, "{:?}", late.tip_position_m);
-    let said = assert_says(
+    let reported = assert_says(
         &player.output(),
         0,
         &[
@@ -78,7 +78,7 @@ fn references_and_obstacles_of_a_recording_are_fed_again_and_the_robot_holds() {
             "tip error",
         ],
     );
-    assert!(!said.contains(" 0 reference chunks"), "{said}");
+    assert!(!reported.contains(" 0 reference chunks"), "{reported}");
     wait_status(&connection, |status| {
         (status.mode, status.lease_holder) == (Mode::Holding.code(), 0)
     });

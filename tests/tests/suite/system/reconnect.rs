@@ -42,7 +42,7 @@ impl Drop for LogOfFailure<'_> {
     fn drop(&mut self) {
         if thread::panicking() {
             let log = std::fs::read_to_string(log_of(self.0)).unwrap_or_default();
-            println!("cdcrd said:\n{log}");
+            println!("log of cdcrd:\n{log}");
         }
     }
 }
@@ -204,8 +204,11 @@ const SLOW_STARTS_MAX: usize = 10;
 
 #[test]
 fn a_feeder_is_told_and_feeds_again_on_the_same_connection() {
-    let is_told = (0..SLOW_STARTS_MAX).any(|_| is_told_of_the_restart_and_feeds_again());
-    assert!(is_told, "every start of a daemon took more than a second");
+    let is_reported = (0..SLOW_STARTS_MAX).any(|_| is_told_of_the_restart_and_feeds_again());
+    assert!(
+        is_reported,
+        "every start of a daemon took more than a second"
+    );
 }
 
 /// False if the start took so long that the feeder detected silence.
@@ -233,8 +236,8 @@ fn is_told_of_the_restart_and_feeds_again() -> bool {
         ControlFlow::Continue(())
     });
     let error = fed.expect_err("its lease died with the daemon");
-    let is_told = matches!(error, FeedError::Restarted { .. });
-    if is_told {
+    let is_reported = matches!(error, FeedError::Restarted { .. });
+    if is_reported {
         assert!(
             error.to_string().contains("Feed the reference again"),
             "{error}"
@@ -253,7 +256,7 @@ fn is_told_of_the_restart_and_feeds_again() -> bool {
     let report = feeder.run(|_| ControlFlow::Continue(())).unwrap();
     assert_eq!((report.end, report.tracked), (FeedEnd::Played, true));
     assert_eq!(report.lost_records, 0);
-    is_told
+    is_reported
 }
 
 #[test]

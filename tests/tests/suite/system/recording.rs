@@ -23,8 +23,8 @@ use rustix::process::Signal;
 use recorded::Recorded;
 
 /// Number of lost messages of a topic, as reported by a recorder.
-fn lost(said: &str, topic: Topic) -> u64 {
-    let counts = said.lines().filter_map(|line| {
+fn lost(reported: &str, topic: Topic) -> u64 {
+    let counts = reported.lines().filter_map(|line| {
         let (count, of) = line.strip_prefix("lost: ")?.split_once(' ')?;
         of.starts_with(topic.noun())
             .then(|| count.parse::<u64>().unwrap())
@@ -51,18 +51,18 @@ fn know_an_obstacle(connection: &Connection) -> ObstacleSender {
 
 #[test]
 fn a_recording_has_every_cycle_and_what_clients_sent() {
-    let (run, records, said) = until_undisturbed("a recorder reads in time", || {
+    let (run, records, reported) = until_undisturbed("a recorder reads in time", || {
         let mut run = Recorded::start(PATIENT);
         let connection = run.daemon.connect();
         let _sender = know_an_obstacle(&connection);
         let records = track(&connection, &curve());
-        let said = run.end();
+        let reported = run.end();
         let is_whole = [Topic::Telemetry, Topic::Reference, Topic::Obstacles]
             .iter()
-            .all(|topic| lost(&said, *topic) == 0);
-        is_whole.then_some((run, records, said))
+            .all(|topic| lost(&reported, *topic) == 0);
+        is_whole.then_some((run, records, reported))
     });
-    assert!(said.contains("1 obstacle update,"), "{said}");
+    assert!(reported.contains("1 obstacle update,"), "{reported}");
     let info = run.info();
     let telemetry = &info["channels"]["telemetry"];
     assert!(telemetry["messages"].as_u64().unwrap() >= records.len() as u64);
@@ -75,7 +75,7 @@ fn a_recording_has_every_cycle_and_what_clients_sent() {
         let channel = &info["channels"][name];
         assert!(channel["messages"].as_u64().unwrap() > 0, "{name}: {info}");
         // Only two snapshots wait for a reader: if it is 0.2 s late, older ones are lost, and counted.
-        assert_eq!(channel["missing"], lost(&said, topic), "{info}");
+        assert_eq!(channel["missing"], lost(&reported, topic), "{info}");
     }
     let place = run.daemon.place();
     let small = "ulimit -f 8 && exec \"$0\" convert run.mcap --csv tables";

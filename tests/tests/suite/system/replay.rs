@@ -46,8 +46,8 @@ impl Recording {
         let mut telemetry = connection.telemetry().unwrap();
         let sender = connection.obstacle_sender().unwrap();
         let header = sender.upsert(known).unwrap();
-        let verdict = telemetry.outcome_on(EventKind::Obstacles, &header, TIMEOUT);
-        assert_eq!(verdict.unwrap(), Answer::Accepted);
+        let outcome = telemetry.outcome_on(EventKind::Obstacles, &header, TIMEOUT);
+        assert_eq!(outcome.unwrap(), Answer::Accepted);
         let mut sent = connection.references().unwrap();
         until_undisturbed("a curve is tracked to its end", || {
             let mut recording = Self::default();

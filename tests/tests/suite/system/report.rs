@@ -135,14 +135,14 @@ setTimeout(() => {
   });
   const places = (selector) => [...document.querySelector(selector).getAttribute('d').matchAll(/([ML])\S+ (\d+\.\d)/g)];
   const ys = places('#error svg path').map(([, , y]) => Number(y));
-  const told = {
+  const reported = {
     references: places('#path svg path').filter(([, begin]) => begin === 'M').length,
     at_the_bottom: ys.filter((y) => y >= 154).length / ys.length,
     errors, sections: [...document.querySelectorAll('section')].map((one) => one.id),
     empty: [...document.querySelectorAll('section')].filter((one) => one.offsetHeight < 40).map((one) => one.id),
     colours: new Set(pixels).size, apart_mm: Math.max(...apart), curves: paths,
   };
-  document.body.replaceChildren(JSON.stringify(told));
+  document.body.replaceChildren(JSON.stringify(reported));
 }, 1500);
 </script></body>";
 const WATCH: &str = "<head><script>const errors = []; addEventListener('error', (event) => errors.push(event.message));</script>";
@@ -160,8 +160,8 @@ fn a_browser_draws_the_page_without_an_error() {
         .replacen("<head>", WATCH, 1)
         .replacen("</body>", PROBE, 1);
     let path = daemon.place().write("probed.html", &probed);
-    let told = in_browser(browser, folder, &path);
-    assert_eq!(told["errors"], Value::Array(Vec::new()), "{told}");
+    let reported = in_browser(browser, folder, &path);
+    assert_eq!(reported["errors"], Value::Array(Vec::new()), "{reported}");
     let sections = [
         "summary",
         "robot",
@@ -174,19 +174,22 @@ fn a_browser_draws_the_page_without_an_error() {
         "events",
         "misses",
     ];
-    assert_eq!(told["sections"], serde_json::json!(sections));
-    assert_eq!(told["empty"], Value::Array(Vec::new()), "{told}");
-    assert!(told["colours"].as_u64().unwrap() > 50, "{told}");
+    assert_eq!(reported["sections"], serde_json::json!(sections));
+    assert_eq!(reported["empty"], Value::Array(Vec::new()), "{reported}");
+    assert!(reported["colours"].as_u64().unwrap() > 50, "{reported}");
     assert!(
-        told["curves"].as_u64().unwrap() >= 6 + 2 + 6 + 9 + 2,
-        "{told}"
+        reported["curves"].as_u64().unwrap() >= 6 + 2 + 6 + 9 + 2,
+        "{reported}"
     );
-    assert_eq!(told["references"], 2, "{told}");
+    assert_eq!(reported["references"], 2, "{reported}");
     // Values far below the largest error are still distinguishable.
-    assert!(told["at_the_bottom"].as_f64().unwrap() < 0.1, "{told}");
+    assert!(
+        reported["at_the_bottom"].as_f64().unwrap() < 0.1,
+        "{reported}"
+    );
     // The tip computed from measured bends: the true one differs, because the offset is unknown here. Numbers
     // have five digits.
-    assert!(told["apart_mm"].as_f64().unwrap() < 0.2, "{told}");
+    assert!(reported["apart_mm"].as_f64().unwrap() < 0.2, "{reported}");
 }
 
 /// The page of a robot whose reference ended and began again, the first time far away.

@@ -101,8 +101,8 @@ fn a_recording_of_a_stopped_daemon_goes_on_when_it_wakes() {
     let before = wait_status(&connection, |_| true);
     wait_status(&connection, |status| status.cycles > before.cycles + 20);
     recorder.signal(Signal::INT);
-    let said = assert_says(&recorder.output(), 0, &["run.mcap"]);
-    assert!(!said.contains("the daemon ended"), "{said}");
+    let reported = assert_says(&recorder.output(), 0, &["run.mcap"]);
+    assert!(!reported.contains("the daemon ended"), "{reported}");
 }
 
 /// Like the first trial of a new user: only the robot is configured.

@@ -24,20 +24,20 @@ fn blocks(page: &str) -> Vec<String> {
 /// reference.
 fn typed(place: &Place, block: &str) -> Option<String> {
     let output = shell(place, &format!("set -e\n{block}")).output();
-    let said = text(&output);
+    let reported = text(&output);
     if !output.status.success() {
-        println!("{block}\n{said}");
+        println!("{block}\n{reported}");
         return None;
     }
-    Some(said)
+    Some(reported)
 }
 
 #[test]
 fn the_session_of_the_readme_works_as_typed() {
-    let said = until_undisturbed("the session of the README", type_the_session);
+    let reported = until_undisturbed("the session of the README", type_the_session);
     assert!(
-        said.contains("cycles reproduced") && said.contains("run.html"),
-        "{said}"
+        reported.contains("cycles reproduced") && reported.contains("run.html"),
+        "{reported}"
     );
 }
 

@@ -39,8 +39,8 @@ fn viewer(port: u16) -> WebSocket<TcpStream> {
 fn serve(daemon: &Daemon) -> (Program, u16) {
     let view = daemon.place().start("cdcr-view --port 0");
     wait_until("it serves", || view.lines() > 0);
-    let said = view.printed();
-    let port = said
+    let reported = view.printed();
+    let port = reported
         .split("127.0.0.1:")
         .nth(1)
         .unwrap()
@@ -136,7 +136,7 @@ fn a_viewer_gets_the_channels_of_a_recording_and_what_they_hold() {
 }
 
 #[test]
-fn what_it_was_too_slow_for_is_told() {
+fn what_it_was_too_slow_for_is_reported() {
     let daemon = Daemon::start(PATIENT);
     let (mut view, port) = serve(&daemon);
     let mut socket = viewer(port);

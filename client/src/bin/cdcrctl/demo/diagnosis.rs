@@ -181,7 +181,7 @@ mod tests {
         MissCauses::new(&missed(causes), &IncidentCauses::default())
     }
 
-    fn verdict(of: &[LateCause], missing: u32) -> Diagnosis {
+    fn diagnosis(of: &[LateCause], missing: u32) -> Diagnosis {
         Diagnosis::new(&causes(of), Some(&baseline(3, 4)), Some(TAKEN), missing)
     }
 
@@ -213,10 +213,14 @@ mod tests {
             (&[None, None, Load], 0, Limit::Unknown),
             (&[None, Load], 0, Limit::OtherTask),
         ] {
-            let verdict = verdict(of, missing);
-            assert_eq!(verdict.limited_by, limit, "{of:?} {missing}");
-            assert_eq!(verdict.next.is_some(), limit != Limit::Nothing, "{limit:?}");
-            assert_eq!(verdict.text.matches(". ").count(), 0, "one sentence");
+            let diagnosis = diagnosis(of, missing);
+            assert_eq!(diagnosis.limited_by, limit, "{of:?} {missing}");
+            assert_eq!(
+                diagnosis.next.is_some(),
+                limit != Limit::Nothing,
+                "{limit:?}"
+            );
+            assert_eq!(diagnosis.text.matches(". ").count(), 0, "one sentence");
         }
     }
 
@@ -251,7 +255,7 @@ mod tests {
         assert_eq!(with_baseline(None), "No deadline was missed.");
         let late = with_baseline(Some(baseline(0, 4)));
         assert!(late.contains("started 4 of 100 cycles late"), "{late}");
-        let ordinary = |of: &[LateCause]| verdict(of, realtime::FIFO).text;
+        let ordinary = |of: &[LateCause]| diagnosis(of, realtime::FIFO).text;
         assert!(ordinary(&[]).starts_with("No deadline was missed, but"));
         assert!(ordinary(&[LateCause::Load]).starts_with("Other tasks had the core"));
     }
@@ -270,10 +274,10 @@ mod tests {
 
     #[test]
     fn what_is_not_granted_has_one_command_and_what_is_granted_has_none() {
-        assert_eq!(verdict(&[], 0).grant, None);
-        assert_eq!(verdict(&[], realtime::PINNED).grant, None);
+        assert_eq!(diagnosis(&[], 0).grant, None);
+        assert_eq!(diagnosis(&[], realtime::PINNED).grant, None);
         for missing in [realtime::FIFO, realtime::LOCKED] {
-            assert!(verdict(&[], missing).grant.is_some());
+            assert!(diagnosis(&[], missing).grant.is_some());
         }
         assert!(grant(false).starts_with("sudo prlimit"));
         assert!(grant(true).contains("--ulimit rtprio=90"));
@@ -281,7 +285,7 @@ mod tests {
 
     #[test]
     fn the_json_names_the_limit() {
-        let json = serde_json::to_value(verdict(&[LateCause::Load], realtime::FIFO));
+        let json = serde_json::to_value(diagnosis(&[LateCause::Load], realtime::FIFO));
         let json = json.expect("JSON");
         assert_eq!(json["limited_by"], "no-real-time");
         let next = json["next"].as_str().expect("a command");

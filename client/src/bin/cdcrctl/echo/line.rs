@@ -49,8 +49,8 @@ fn us(to_ns: u64, from_ns: u64) -> f64 {
 }
 
 /// A dash for a missing value.
-fn or_dash(is_told: bool, text: String) -> String {
-    if is_told { text } else { "-".to_owned() }
+fn or_dash(is_reported: bool, text: String) -> String {
+    if is_reported { text } else { "-".to_owned() }
 }
 
 /// One decimal; a dash when the system does not provide the value.

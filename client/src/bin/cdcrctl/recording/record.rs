@@ -27,7 +27,7 @@ use crate::trigger::Trigger;
 /// Interval of the flushes: a killed recorder loses at most this, besides data that waits for the disk.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
 /// A message sent this long before the recording began may still get its outcome in it \[ns\].
-const JUDGED_WITHIN_NS: u64 = 100_000_000;
+const EVALUATED_WITHIN_NS: u64 = 100_000_000;
 /// What the user can do when the file exists, instead of removing it.
 pub(super) const OR: &str = "or name another";
 /// Chunks and updates kept until their outcome arrives: the daemon gathers fewer at once.
@@ -384,7 +384,7 @@ impl Recorder {
 
     /// Counts gathered messages that were not received: their sender left too early, or the queue was full.
     fn count_missing(&mut self, record: &Telemetry) {
-        let since_ns = self.begun_ns + JUDGED_WITHIN_NS;
+        let since_ns = self.begun_ns + EVALUATED_WITHIN_NS;
         for event in events(record) {
             let topic = match EventKind::try_from(event.kind) {
                 Ok(EventKind::Reference) => Topic::Reference,

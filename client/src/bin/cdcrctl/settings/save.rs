@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_configuration_cannot_have_is_told() {
+    fn what_a_configuration_cannot_have_is_reported() {
         let largest = format!("seed={}", u64::MAX);
         let error = merged("", settings(&[&largest]), &Status::default()).expect_err("too large");
         assert!(

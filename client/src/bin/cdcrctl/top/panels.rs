@@ -107,12 +107,12 @@ impl Screen<'_> {
             Span::from(format!(" {reason}")),
         ];
         let rate = self.live.rate_hz();
-        let mut told =
+        let mut reported =
             vec![rate.map_or_else(|| "no rate yet".to_owned(), |hz| format!("{hz:.1} Hz"))];
         if let Some(status) = &self.live.status {
-            told.extend(identity(status));
+            reported.extend(identity(status));
         }
-        first.push(Span::from(format!("   {}", told.join(", "))));
+        first.push(Span::from(format!("   {}", reported.join(", "))));
         if let Some(silent) = self.silent {
             let words = silent.lines().next().unwrap_or_default().to_owned();
             first = vec![Span::styled(words, bad())];

@@ -14,13 +14,13 @@ use crate::wide::Wide;
 struct Linear {
     stages: Stages,
     is_staged: bool,
-    residuals: Vec<Row>,
-    constraints: Vec<Row>,
+    residuals: Vec<LinearRow>,
+    constraints: Vec<LinearRow>,
     weight: f64,
 }
 
 #[derive(Debug, Clone)]
-struct Row {
+struct LinearRow {
     value: f64,
     derivatives: Vec<f64>,
     stage: RowStage,
@@ -106,7 +106,7 @@ fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
                 let stage = (0..blocks, any::<bool>(), 0..3_u8);
                 let lengths = lengths.clone();
                 (-1.0..1.0_f64, derivatives, stage).prop_map(
-                    move |(value, derivatives, (block, of_step, short))| Row {
+                    move |(value, derivatives, (block, of_step, short))| LinearRow {
                         value: scale * value,
                         derivatives: derivatives.iter().map(|d| scale * d).collect(),
                         stage: RowStage {
@@ -121,7 +121,7 @@ fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
                     },
                 )
             };
-            let at_end = row(1.0).prop_map(|row| Row {
+            let at_end = row(1.0).prop_map(|row| LinearRow {
                 stage: RowStage {
                     since_start: true,
                     ..row.stage
@@ -151,7 +151,7 @@ fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
 
 impl Linear {
     /// The derivatives of a row with respect to all unknowns.
-    fn derivatives(&self, row: &Row) -> Vec<f64> {
+    fn derivatives(&self, row: &LinearRow) -> Vec<f64> {
         let blocks = self.stages.lengths().iter().enumerate();
         blocks
             .flat_map(|(block, length)| {
@@ -166,7 +166,7 @@ impl Linear {
     }
 
     /// The value of a row after a step.
-    fn value(&self, row: &Row, step: &[f64]) -> f64 {
+    fn value(&self, row: &LinearRow, step: &[f64]) -> f64 {
         let terms = self.derivatives(row);
         row.value + terms.iter().zip(step).map(|(d, s)| d * s).sum::<f64>()
     }
@@ -179,7 +179,7 @@ impl Linear {
 
     /// The cost of a step.
     fn cost(&self, damping: f64, z: &[f64], step: &[f64]) -> f64 {
-        let square = |row: &Row, most: f64| self.value(row, step).min(most).powi(2);
+        let square = |row: &LinearRow, most: f64| self.value(row, step).min(most).powi(2);
         let residuals = self.residuals.iter().map(|row| square(row, f64::INFINITY));
         let constraints = self.constraints.iter().map(|row| square(row, 0.0));
         let own = z.iter().zip(step);
@@ -267,7 +267,7 @@ proptest! {
 
 #[test]
 fn a_number_that_is_not_finite_and_a_spent_budget_give_no_step() {
-    let row = |value| Row {
+    let row = |value| LinearRow {
         value,
         derivatives: vec![0.3, 0.2],
         stage: RowStage {

@@ -127,7 +127,7 @@ fn a_root_that_belongs_to_root_is_not_for_a_normal_user() {
 }
 
 #[test]
-fn a_root_folder_that_the_other_user_cannot_even_see_is_said_to_be_closed() {
+fn a_root_folder_that_the_other_user_cannot_even_see_is_reported_to_be_closed() {
     if !have_a_stranger() {
         return;
     }
@@ -302,8 +302,8 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
 
 /// As in a container or a unit with `ReadOnlyPaths` only.
 #[test]
-fn a_root_folder_that_is_mounted_read_only_is_said_to_be_so() {
-    let test = &name_of(&a_root_folder_that_is_mounted_read_only_is_said_to_be_so);
+fn a_root_folder_that_is_mounted_read_only_is_reported_to_be_so() {
+    let test = &name_of(&a_root_folder_that_is_mounted_read_only_is_reported_to_be_so);
     if !has_own_mounts(test) {
         return;
     }
@@ -353,13 +353,13 @@ fn a_client_in_another_time_namespace_is_told_so_and_can_stop_the_robot() {
             );
         }
     }
-    let told = [
+    let reported = [
         "another time namespace",
         "differs by -1000 s",
         "cdcrctl stop",
     ];
     for line in ["status", "hold", "ref line --track", "plant"] {
-        assert_says(&client(line).unwrap(), 1, &told);
+        assert_says(&client(line).unwrap(), 1, &reported);
     }
     assert_says(&client("stop").unwrap(), 0, &["the daemon is stopped"]);
 }

@@ -35,12 +35,15 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
     assert!(messages > 10);
     // If the machine delayed the recorder for more than a second, records are lost, and the recorder reports
     // it.
-    let said = String::from_utf8_lossy(&output.stdout);
-    assert!(said.contains(&format!(": {messages} cycles, ")), "{said}");
+    let reported = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        reported.contains(&format!(": {messages} cycles, ")),
+        "{reported}"
+    );
     let missing = info["channels"]["telemetry"]["missing"].as_u64().unwrap();
     assert!(
-        missing <= lost(&said, Topic::Telemetry),
-        "{missing}: {said}"
+        missing <= lost(&reported, Topic::Telemetry),
+        "{missing}: {reported}"
     );
     // If the disk was full before, no empty file stays.
     fs::write(disk.join("rest"), vec![0; 1 << 20]).unwrap_err();

@@ -68,10 +68,10 @@ fn cycles_of_a_reference_from_before_the_recording_are_counted_apart() {
     drop(connection);
     run.signal(Signal::INT);
     assert_says(&run.output(), 0, &["run.mcap"]);
-    let said = daemon
+    let reported = daemon
         .place()
         .says("cdcrctl replay --verify run.mcap", 0, &["reproduced"]);
-    assert!(said.contains("not completely recorded"), "{said}");
+    assert!(reported.contains("not completely recorded"), "{reported}");
 }
 
 #[test]

@@ -29,12 +29,15 @@ fn a_recording_of_another_version_is_refused_and_both_are_named() {
         let found = format!("{name}99");
         let ours = format!("reads {name}:");
         // The order of the messages is random; each one has its two versions.
-        let said = place.says(
+        let reported = place.says(
             &format!("cdcrctl {task} other.mcap"),
             1,
             &["was recorded as", "reads"],
         );
-        assert!(said.contains(&found) == said.contains(&ours), "{said}");
+        assert!(
+            reported.contains(&found) == reported.contains(&ours),
+            "{reported}"
+        );
     }
 }
 
