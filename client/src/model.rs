@@ -58,33 +58,17 @@ pub fn obstacle_of(obstacle: &cdcr_shared_types::Obstacle) -> Option<Obstacle> {
 /// When a code is unknown; no daemon publishes such settings.
 pub fn settings_of(settings: &SolverSettings) -> Result<NmpcSettings, UnknownCode> {
     macro_rules! same_names {
-        ($($number:ident),+ $(,)?) => {{
-            let SolverSettings { solver, coordinates, velocity_rule, $($number,)+ budget_ns: _, reserved: _ } = *settings;
+        ({ $($choice:ident: $type:ident { $($variant:ident),+ },)+ } $($number:ident),+ $(,)?) => {{
+            let SolverSettings { $($choice,)+ $($number,)+ budget_ns: _, reserved: _ } = *settings;
             NmpcSettings {
-                solver: match codes::SolverKind::try_from(solver)? {
-                    codes::SolverKind::Kpso => SolverKind::Kpso,
-                    codes::SolverKind::GaussNewton => SolverKind::GaussNewton,
-                    codes::SolverKind::KpsoRefined => SolverKind::KpsoRefined,
-                },
-                coordinates: match codes::Coordinates::try_from(coordinates)? {
-                    codes::Coordinates::BendVector => Coordinates::BendVector,
-                    codes::Coordinates::BendAngles => Coordinates::BendAngles,
-                },
-                velocity_rule: match codes::VelocityRule::try_from(velocity_rule)? {
-                    codes::VelocityRule::Inertia => VelocityRule::Inertia,
-                    codes::VelocityRule::Constriction => VelocityRule::Constriction,
-                    codes::VelocityRule::Verbatim => VelocityRule::Verbatim,
-                },
+                $($choice: match codes::$type::try_from($choice)? {
+                    $(codes::$type::$variant => $type::$variant,)+
+                },)+
                 $($number: $number.into(),)+
             }
         }};
     }
-    Ok(same_names! {
-        horizon_steps, control_blocks, swarm_size, swarm_iterations, regenerate_after, inertia, cognitive, social,
-        refinement_steps, damping, position_weight, orientation_weight, orientation_tolerance_rad, rate_weight,
-        rate_change_weight, terminal_weight, safe_distance_m, obstacle_step_penalty, obstacle_slope_penalty,
-        obstacle_square_penalty, seed,
-    })
+    Ok(cdcr_shared_types::solver_settings!(same_names))
 }
 
 /// The points of an accepted reference chunk. `None` for a chunk that no daemon accepts.

@@ -60,3 +60,22 @@ message! {
         seed: u64,
     }
 }
+
+/// The solver settings that the controller has under the same names. Calls the macro `$with` with the choices, each with
+/// its enumeration and variants, and the numbers: daemon and client generate their conversions from this list.
+#[macro_export]
+macro_rules! solver_settings {
+    ($with:ident) => {
+        $with! {
+            {
+                solver: SolverKind { Kpso, GaussNewton, KpsoRefined },
+                coordinates: Coordinates { BendVector, BendAngles },
+                velocity_rule: VelocityRule { Inertia, Constriction, Verbatim },
+            }
+            horizon_steps, control_blocks, swarm_size, swarm_iterations, regenerate_after, inertia, cognitive,
+            social, refinement_steps, damping, position_weight, orientation_weight, orientation_tolerance_rad,
+            rate_weight, rate_change_weight, terminal_weight, safe_distance_m, obstacle_step_penalty,
+            obstacle_slope_penalty, obstacle_square_penalty, seed,
+        }
+    };
+}

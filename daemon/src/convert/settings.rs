@@ -7,8 +7,8 @@ use cdcr_shared_types::codes::{self, Outcome};
 
 use crate::handover::{ChangedSettings, Settings};
 
-/// Generates both conversions, and the changes of a configuration, from one list: choices with their
-/// enumerations, then numbers. A missing field does not compile.
+/// Generates both conversions, and the changes of a configuration, from the list of the settings. A missing field does
+/// not compile.
 macro_rules! both_ways {
     ({ $($choice:ident: $type:ident { $($variant:ident),+ },)+ } $($number:ident),+ $(,)?) => {
         pub fn settings_to_wire(settings: &Settings) -> wire::SolverSettings {
@@ -49,17 +49,7 @@ macro_rules! both_ways {
     };
 }
 
-both_ways! {
-    {
-        solver: SolverKind { Kpso, GaussNewton, KpsoRefined },
-        coordinates: Coordinates { BendVector, BendAngles },
-        velocity_rule: VelocityRule { Inertia, Constriction, Verbatim },
-    }
-    horizon_steps, control_blocks, swarm_size, swarm_iterations, regenerate_after, inertia, cognitive, social,
-    refinement_steps, damping, position_weight, orientation_weight, orientation_tolerance_rad, rate_weight,
-    rate_change_weight, terminal_weight, safe_distance_m, obstacle_step_penalty, obstacle_slope_penalty,
-    obstacle_square_penalty, seed,
-}
+wire::solver_settings!(both_ways);
 
 /// Settings from the wire, validated for a daemon with this period.
 pub fn settings_from_wire(
