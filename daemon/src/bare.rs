@@ -336,7 +336,7 @@ mod tests {
         assert!(recorder.cycles.is_empty());
         let summary = Summary::new(&Config::default(), &recorder, 0, Some(1)).unwrap();
         assert_eq!((summary.cycles, summary.duration_s), (0, 0.0));
-        assert_eq!(summary.wake.max_ns, 0);
+        assert_eq!(summary.wake.0.max_ns, 0);
     }
 
     #[test]

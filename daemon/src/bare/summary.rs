@@ -3,7 +3,8 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 use cdcr_shared_types::LatencySummary;
 use cdcr_shared_types::codes::realtime;
-use serde::Serialize;
+use cdcr_shared_types::message::{Struct as _, Value};
+use serde::{Serialize, Serializer};
 
 use super::{BareCycle, CauseAssignment, Recorder};
 use crate::config::{Config, ns};
@@ -47,20 +48,9 @@ pub struct Summary {
     pub core: Option<usize>,
 }
 
-/// Percentiles of a latency.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Percentiles {
-    /// Smallest \[ns\].
-    pub min_ns: u64,
-    /// Median \[ns\].
-    pub p50_ns: u64,
-    /// 99 % are not above this \[ns\].
-    pub p99_ns: u64,
-    /// 99.9 % are not above this \[ns\].
-    pub p999_ns: u64,
-    /// Largest \[ns\].
-    pub max_ns: u64,
-}
+/// Percentiles of a latency, by the names of the message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Percentiles(pub LatencySummary);
 
 impl Summary {
     /// The summary of a completed loop; `missing` and `core` describe the granted properties.
@@ -74,10 +64,12 @@ impl Summary {
         let cycles = &recorder.cycles;
         let period_ns = ns(config.cycle.period_ms);
         let periods = cycles.last().map_or(0, |cycle| cycle.release.cycle);
-        let told = || cycles.iter().filter_map(|cycle| cycle.interference);
-        let is_told = told().next().is_some();
-        let run_delay = Percentiles::of(told().map(|told| told.run_delay_ns))?;
-        let page_faults = told().map(|told| u64::from(told.page_faults)).sum();
+        let reported = || cycles.iter().filter_map(|cycle| cycle.interference);
+        let is_reported = reported().next().is_some();
+        let run_delay = Percentiles::of(reported().map(|reported| reported.run_delay_ns))?;
+        let page_faults = reported()
+            .map(|reported| u64::from(reported.page_faults))
+            .sum();
         Ok(Self {
             period_ns,
             deadline_ns: limits.deadline_ns,
@@ -90,8 +82,8 @@ impl Summary {
             skipped_periods: totals.skipped_periods,
             causes: causes(cycles),
             wake: Percentiles::of(cycles.iter().map(BareCycle::wake_ns))?,
-            run_delay: is_told.then_some(run_delay),
-            page_faults: is_told.then_some(page_faults),
+            run_delay: is_reported.then_some(run_delay),
+            page_faults: is_reported.then_some(page_faults),
             realtime: missing == 0,
             realtime_missing: names(missing),
             core,
@@ -123,24 +115,20 @@ fn names(missing: u32) -> Vec<&'static str> {
 impl Percentiles {
     fn of(latencies_ns: impl Iterator<Item = u64>) -> Result<Self> {
         let mut histogram = latency::histogram(DIGITS)?;
-        for latency_ns in latencies_ns {
-            histogram.saturating_record(latency_ns);
-        }
-        let LatencySummary {
-            min_ns,
-            p50_ns,
-            p99_ns,
-            p999_ns,
-            max_ns,
-            ..
-        } = latency::summary(&histogram);
-        Ok(Self {
-            min_ns,
-            p50_ns,
-            p99_ns,
-            p999_ns,
-            max_ns,
-        })
+        latencies_ns.for_each(|latency_ns| histogram.saturating_record(latency_ns));
+        Ok(Self(latency::summary(&histogram)))
+    }
+}
+
+impl Serialize for Percentiles {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut fields = Vec::new();
+        self.0.visit(&mut |field, value| {
+            if let Value::U64(number) = value {
+                fields.push((field.name, number));
+            }
+        });
+        serializer.collect_map(fields)
     }
 }
 
@@ -199,9 +187,13 @@ mod tests {
         assert_eq!(summary.page_faults, Some(4));
         assert!((summary.duration_s - 0.025).abs() < 1e-12);
         let close = |is: u64, was: u64| is.abs_diff(was) * 500 <= was;
-        assert!(close(summary.wake.max_ns, 9_000_000), "{:?}", summary.wake);
-        assert_eq!(summary.wake.p50_ns, 10);
-        assert!(close(summary.run_delay.unwrap().max_ns, 8_000_000));
+        assert!(
+            close(summary.wake.0.max_ns, 9_000_000),
+            "{:?}",
+            summary.wake
+        );
+        assert_eq!(summary.wake.0.p50_ns, 10);
+        assert!(close(summary.run_delay.unwrap().0.max_ns, 8_000_000));
         assert!(summary.realtime && summary.realtime_missing.is_empty());
     }
 

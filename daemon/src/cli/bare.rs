@@ -85,7 +85,10 @@ fn write_csv(out: &mut impl Write, cycles: &[BareCycle]) -> io::Result<()> {
     for cycle in cycles {
         let release = &cycle.release;
         let (run_delay_ns, page_faults) = match cycle.interference {
-            Some(told) => (told.run_delay_ns.to_string(), told.page_faults.to_string()),
+            Some(reported) => (
+                reported.run_delay_ns.to_string(),
+                reported.page_faults.to_string(),
+            ),
             None => (String::new(), String::new()),
         };
         writeln!(
@@ -154,15 +157,8 @@ fn write_latencies(out: &mut impl Write, summary: &Summary) -> io::Result<()> {
         "\n{:<17}{:>9}{:>9}{:>9}{:>9}{:>9}",
         "time [µs]", "min", "p50", "p99", "p99.9", "max"
     )?;
-    let mut row = |name, latency: &Percentiles| {
-        let Percentiles {
-            min_ns,
-            p50_ns,
-            p99_ns,
-            p999_ns,
-            max_ns,
-        } = *latency;
-        let columns = [min_ns, p50_ns, p99_ns, p999_ns, max_ns];
+    let mut row = |name, Percentiles(of): &Percentiles| {
+        let columns = [of.min_ns, of.p50_ns, of.p99_ns, of.p999_ns, of.max_ns];
         let columns = columns.map(|time_ns| format!("{:>9.1}", time_ns as f64 * 1e-3));
         writeln!(out, "{name:<17}{}", columns.concat())
     };
@@ -182,6 +178,7 @@ mod tests {
     use crate::rt::attribution::CauseAssignment;
     use crate::rt::schedule::Lateness;
     use crate::rt::schedule::Release;
+    use cdcr_shared_types::LatencySummary;
     use cdcr_shared_types::codes::LateCause;
 
     fn outcome() -> Outcome {
@@ -209,13 +206,14 @@ mod tests {
             interference: None,
             ..cycle
         };
-        let latency = Percentiles {
+        let latency = Percentiles(LatencySummary {
+            count: 4_999,
             min_ns: 1_000,
             p50_ns: 14_049,
             p99_ns: 30_000,
             p999_ns: 99_960,
             max_ns: 1_234_500,
-        };
+        });
         let summary = Summary {
             period_ns: 100_000,
             deadline_ns: 100_000,
@@ -247,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_of_csv_for_each_cycle_and_nothing_where_nothing_is_told() {
+    fn a_line_of_csv_for_each_cycle_and_nothing_where_nothing_is_reported() {
         let expected = [
             "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,run_delay_ns,page_faults,cause",
             "3,200,310,350,1,1,0,70,2,2",
