@@ -113,8 +113,8 @@ impl Way {
         ];
         let way = |(name, size): (_, Size)| {
             let (scene, settings) = (size.scene()?, size.settings);
-            let samples = closed_loop::run(&scene, Solver::GaussNewton.of(settings))?;
-            let commands = samples.into_iter().map(|sample| sample.rates).collect();
+            let run = closed_loop::run(&scene, Solver::GaussNewton.of(settings))?;
+            let commands = run.0.into_iter().map(|sample| sample.rates).collect();
             Ok(Self {
                 name,
                 scene,

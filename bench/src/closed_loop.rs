@@ -3,83 +3,21 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use cdcr_client::Trajectory;
-use cdcr_client::model::orientation_of;
-use cdcr_controller::closed_loop;
-use cdcr_controller::nmpc::{
-    Nmpc, NmpcSettings, SettingsError, SolveInput, SolveReport, SolverKind,
-};
+pub use cdcr_controller::closed_loop::{Scene, SceneLoop};
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveReport, SolverKind};
 use cdcr_controller::optimizer::Budget;
-use cdcr_controller::reference::ReferenceSample;
-use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Pose, Robot, Shape};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Pose, Shape};
 use nalgebra::Vector3;
 
-pub const PERIOD_S: f64 = 0.005;
+pub const PERIOD_S: f64 = Scene::PERIOD_S;
 
-pub struct Scene {
-    pub robot: Robot,
-    pub start: Configuration,
-    /// The curve. Time 0 is the first release; it lasts longer than the samples.
-    pub curve: Box<dyn Trajectory + Send>,
-    /// Obstacles at time 0; each moves at its velocity.
-    pub obstacles: Vec<Obstacle>,
-    pub cycles: u64,
-}
-
-impl Scene {
-    #[must_use]
-    pub fn at_most(mut self, cycles: u64) -> Self {
-        self.cycles = self.cycles.min(cycles);
-        self
-    }
-
-    pub fn time_s(&self, cycle: u64) -> f64 {
-        cycle as f64 * PERIOD_S
-    }
-
-    pub fn point_m(&self, cycle: u64) -> Vector3<f64> {
-        Vector3::from(self.curve.position_m(self.time_s(cycle)))
-    }
-
-    /// Centre of the first ball; infinite without one.
-    pub fn obstacle_m(&self) -> Vector3<f64> {
-        match self.obstacles.first().map(Obstacle::shape) {
-            Some(Shape::Sphere { centre_m }) => *centre_m,
-            _ => Vector3::repeat(f64::INFINITY),
-        }
-    }
-
-    pub fn solver(&self, settings: NmpcSettings) -> Result<Nmpc, SettingsError> {
-        Nmpc::new(self.robot.clone(), PERIOD_S, settings)
-    }
-
-    pub fn begin(&self, settings: NmpcSettings) -> Result<ClosedLoop<'_>, SettingsError> {
-        let reference_at = |time_s| ReferenceSample {
-            orientation: orientation_of(self.curve.orientation(time_s)),
-            ..ReferenceSample::at(self.curve.position_m(time_s).into())
-        };
-        let (robot, start, obstacles) = (&self.robot, self.start, &self.obstacles);
-        let reference_at = Box::new(reference_at);
-        ClosedLoop::new(robot, PERIOD_S, settings, start, obstacles, reference_at)
-    }
-
-    pub fn sample(&self, closed: &ClosedLoop<'_>, solve_time: Duration) -> Sample {
-        let configuration = *closed.configuration();
-        Sample {
-            time_s: closed.time_s(),
-            reference_m: self.point_m(closed.cycle()),
-            tip: self.robot.tip_pose(&configuration),
-            configuration,
-            rates: closed.command().rates,
-            clearance_m: closed.clearance_m(),
-            solve_ns: solve_time.as_nanos() as u64,
-        }
+/// Centre of the first ball; infinite without one.
+pub fn obstacle_m(scene: &Scene) -> Vector3<f64> {
+    match scene.obstacles.first().map(Obstacle::shape) {
+        Some(Shape::Sphere { centre_m }) => *centre_m,
+        _ => Vector3::repeat(f64::INFINITY),
     }
 }
-
-/// The ideal robot in a scene, with the safety checks of its commands. No command is lost, and the robot stops at
-/// once: the clearance guard certifies each command for one period, a daemon for three periods and a ramp.
-pub type ClosedLoop<'a> = closed_loop::ClosedLoop<Box<dyn Fn(f64) -> ReferenceSample + 'a>>;
 
 #[derive(Debug, Clone)]
 pub struct Sample {
@@ -91,15 +29,59 @@ pub struct Sample {
     /// Clearance of the whole body at that time \[m\]; infinite without obstacles.
     pub clearance_m: f64,
     pub solve_ns: u64,
+    /// The budget ended the solve.
+    pub cut_short: bool,
+    /// The clearance guard changed the command.
+    pub guarded: bool,
 }
 
 impl Sample {
+    /// The cycle that has just ended, with the report and the time of its solve.
+    fn new(scene: &Scene, closed: &SceneLoop<'_>, report: &SolveReport, time: Duration) -> Self {
+        let configuration = *closed.configuration();
+        Self {
+            time_s: closed.time_s(),
+            reference_m: scene.point_m(closed.cycle()),
+            tip: scene.robot.tip_pose(&configuration),
+            configuration,
+            rates: closed.command().rates,
+            clearance_m: closed.clearance_m(),
+            solve_ns: time.as_nanos() as u64,
+            cut_short: report.budget_spent,
+            guarded: closed.command().clearance_hit,
+        }
+    }
+
     pub fn offset_mm(&self) -> Vector3<f64> {
         1e3 * (self.tip.position_m - self.reference_m)
     }
 
     pub fn error_mm(&self) -> f64 {
         self.offset_mm().norm()
+    }
+}
+
+/// Every cycle of a run.
+#[derive(Debug, Clone)]
+pub struct Run(pub Vec<Sample>);
+
+impl Run {
+    pub fn mean_error_mm(&self) -> f64 {
+        self.0.iter().map(Sample::error_mm).sum::<f64>() / self.0.len() as f64
+    }
+
+    pub fn most(&self, value: impl Fn(&Sample) -> f64) -> f64 {
+        self.0.iter().map(value).fold(0.0, f64::max)
+    }
+
+    pub fn share(&self, is_so: impl Fn(&&Sample) -> bool) -> f64 {
+        self.0.iter().filter(is_so).count() as f64 / self.0.len() as f64
+    }
+
+    /// Infinite without obstacles.
+    pub fn least_clearance_m(&self) -> f64 {
+        let clearances_m = self.0.iter().map(|sample| sample.clearance_m);
+        clearances_m.fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -124,16 +106,30 @@ pub fn timed_solve(nmpc: &mut Nmpc, input: &SolveInput, end: End) -> Solved {
     (rates, report, begin.elapsed())
 }
 
-pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
+pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Run> {
+    run_with(scene, settings, End::Never, SceneLoop::advance, |_, _| ())
+}
+
+/// Solves until `end` in each cycle and passes the rates to `advance`; `solved` sees each input and its plan. As in a
+/// daemon, the first solve was rehearsed: it touches all memory that a solve needs.
+pub fn run_with<'a>(
+    scene: &'a Scene,
+    settings: NmpcSettings,
+    end: End,
+    advance: fn(&mut SceneLoop<'a>, &BendRates),
+    mut solved: impl FnMut(&SolveInput, &[f64]),
+) -> Result<Run> {
     let mut nmpc = scene.solver(settings)?;
     let mut closed = scene.begin(settings)?;
+    nmpc.rehearse(&closed.input(), &mut Budget::unlimited());
     let mut samples = Vec::with_capacity(scene.cycles as usize);
     while closed.cycle() < scene.cycles {
-        let (desired_rates, _, time) = timed_solve(&mut nmpc, &closed.input(), End::Never);
-        closed.advance(&desired_rates);
-        samples.push(scene.sample(&closed, time));
+        let (desired_rates, report, time) = timed_solve(&mut nmpc, &closed.input(), end);
+        solved(&closed.input(), nmpc.plan());
+        advance(&mut closed, &desired_rates);
+        samples.push(Sample::new(scene, &closed, &report, time));
     }
-    Ok(samples)
+    Ok(Run(samples))
 }
 
 /// Evaluates the cost of a plan without a budget; a short solve may not even have evaluated its warm start.

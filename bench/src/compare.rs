@@ -95,7 +95,7 @@ impl Comparison {
         let size = |change: &Change| change.percent.map_or(f64::INFINITY, f64::abs);
         // Stable: in the order of the names otherwise.
         metrics.sort_by(|one, other| size(other).total_cmp(&size(one)));
-        metrics.sort_by_key(|change| change.verdict);
+        metrics.sort_by_key(|change| change.class);
         let only = |these: &Named, others: &Named| {
             let missing = these.keys().filter(|key| !others.contains_key(*key));
             missing.map(|(name, _)| (*name).to_owned()).collect()
@@ -116,9 +116,9 @@ impl Comparison {
         (self.changed_by_chance / 2.0).ceil() as usize + WORSE_MARGIN
     }
 
-    pub fn count(&self, verdict: ChangeClass) -> usize {
-        let verdicts = self.metrics.iter().map(|change| change.verdict);
-        verdicts.filter(|found| *found == verdict).count()
+    pub fn count(&self, class: ChangeClass) -> usize {
+        let classes = self.metrics.iter().map(|change| change.class);
+        classes.filter(|found| *found == class).count()
     }
 
     pub fn text(&self) -> Result<String> {
@@ -127,7 +127,7 @@ impl Comparison {
         for warning in &self.warnings {
             writeln!(text, "warning: {warning}")?;
         }
-        let is_changed = |change: &&Change| change.verdict < WithinNoise;
+        let is_changed = |change: &&Change| change.class < WithinNoise;
         let changed = self.metrics.iter().filter(is_changed);
         let rows: Vec<Value> = changed.map(|change| json!(change)).collect();
         if rows.iter().all(|change| change["chance"].is_null()) {
@@ -191,7 +191,8 @@ pub struct Change {
     /// Change of the median \[%\]; `None` from zero.
     #[serde(rename = "change_percent")]
     percent: Option<f64>,
-    pub verdict: ChangeClass,
+    #[serde(rename = "verdict")]
+    pub class: ChangeClass,
     /// Probability that the rounds are disjoint by chance, if they are disjoint.
     chance: Option<f64>,
     /// Probability that this number is classified as changed although nothing has changed.
@@ -208,10 +209,10 @@ impl Change {
         let is_small = percent.is_some_and(|percent| percent.abs() <= LEAST_CHANGE_PERCENT);
         let is_apart = old_range.1 < new_range.0 || new_range.1 < old_range.0;
         let is_better = (new.better == Better::Lower) == (after < before);
-        let is_judged = counts.iter().all(|count| *count >= ROUNDS_MIN);
+        let is_comparable = counts.iter().all(|count| *count >= ROUNDS_MIN);
         let classes = match counts {
             [1, 1] => [OneValueAlike, OneValueBetter, OneValueWorse],
-            _ if is_judged => [WithinNoise, Improved, Worse],
+            _ if is_comparable => [WithinNoise, Improved, Worse],
             _ => [TooFewRounds; 3],
         };
         let spread = |median: f64, range, rounds: usize| json!({ "median": median, "range": range, "rounds": rounds });
@@ -223,9 +224,9 @@ impl Change {
             before: spread(before, old_range, counts[0]),
             after: spread(after, new_range, counts[1]),
             percent,
-            verdict: classes[usize::from(is_changed) * (2 - usize::from(is_better))],
+            class: classes[usize::from(is_changed) * (2 - usize::from(is_better))],
             chance: (is_apart && counts != [1, 1]).then_some(chance),
-            false_alarm: if is_judged { chance } else { 0.0 },
+            false_alarm: if is_comparable { chance } else { 0.0 },
         })
     }
 }
@@ -243,10 +244,10 @@ mod tests {
 
     #[test]
     #[rustfmt::skip]
-    fn what_became_of_a_number_is_told_from_its_rounds() {
+    fn the_class_of_a_change_follows_from_its_rounds() {
         use crate::metric::Better::{Higher, Lower};
         let (low, high): (&[f64], &[f64]) = (&[1.0, 2.0, 3.0], &[3.1, 4.0, 5.0]);
-        for (better, before, after, verdict) in [
+        for (better, before, after, class) in [
             (Lower, low, high, Worse),
             (Lower, high, low, Improved),
             (Higher, low, high, Improved),
@@ -267,8 +268,8 @@ mod tests {
         ] {
             let [before, after] = [before, after].map(|rounds| Metric::new("a", "µs", better, rounds.iter().copied()));
             let found = Change::of(&before, &after).expect("both have values");
-            assert_eq!(found.verdict, verdict, "{found:?}");
-            let is_change = [Worse, Improved, WithinNoise].contains(&verdict);
+            assert_eq!(found.class, class, "{found:?}");
+            let is_change = [Worse, Improved, WithinNoise].contains(&class);
             assert_eq!(found.false_alarm > 0.0, is_change, "{found:?}");
         }
     }

@@ -193,6 +193,10 @@ impl Dataset {
         shown.map(|(table, _)| table.shown())
     }
 
+    pub fn shown(&self) -> Value {
+        json!(self.tables().collect::<Vec<_>>())
+    }
+
     pub fn text(&self) -> String {
         self.joined(ShownTable::text)
     }
@@ -242,7 +246,7 @@ impl Table {
         Ok(String::from_utf8(writer.into_inner()?)?)
     }
 
-    pub fn shown(&self) -> ShownTable {
+    fn shown(&self) -> ShownTable {
         let columns = || self.columns.iter();
         let cells = |row: &Value| {
             let values = flat(row);
@@ -258,7 +262,7 @@ impl Table {
     }
 }
 
-/// A table as people read it: `report.json` has them, and `docs/results.md` is made from them.
+/// A table as people read it: the JSON of every result has them, and those of the documents are made from them.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ShownTable {
     pub title: String,

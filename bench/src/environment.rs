@@ -113,10 +113,9 @@ fn commit() -> Option<String> {
     };
     let root = git("rev-parse --show-toplevel")?;
     let manifest = std::fs::read_to_string(Path::new(&root).join("bench/Cargo.toml")).ok()?;
-    let commit = git("rev-parse --short=12 HEAD")?;
-    let changed = git("status --porcelain --untracked-files=no")?;
     let is_ours = manifest.contains("name = \"cdcr-bench\"");
-    is_ours.then(|| commit + if changed.is_empty() { "" } else { "+" })
+    let commit = || git("describe --always --abbrev=12 --exclude=* --dirty=+");
+    is_ours.then(commit)?
 }
 
 #[cfg(test)]

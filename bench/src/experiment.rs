@@ -1,16 +1,11 @@
 //! The paper's simulations, each with a solver and its settings.
 
-use std::f64::consts::{FRAC_PI_2, TAU};
-
 use anyhow::Result;
-use cdcr_client::{Circle, Line, Spiral, Trajectory};
 use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
 use cdcr_controller::optimizer::VelocityRule;
-use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
-use nalgebra::Vector3;
 use serde_json::Value;
 
-use crate::closed_loop::{Sample, Scene};
+use crate::closed_loop::{Run, Scene};
 use crate::named::named;
 
 /// Limits on the rates of the line \[rad/s\]; not in the paper.
@@ -19,8 +14,6 @@ pub const LINE_RATES_RAD_S: [f64; 2] = [2.0, 8.0];
 pub const LINE_TILT_MAX_RAD: f64 = 1e-2;
 /// Safe distances of the circle \[m\]; not in the paper.
 pub const CIRCLE_DISTANCES_M: [f64; 3] = [0.01, 0.02, 0.04];
-/// Duration of a curve beyond the samples \[s\]: the longest horizon is 50 steps.
-const BEYOND_S: f64 = 1.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Task {
@@ -49,50 +42,10 @@ impl Task {
     }
 
     pub fn scene(&self) -> Result<Scene> {
-        let sections = match *self {
-            Self::Spiral { sections } => sections,
-            Self::Line { .. } => 3,
-            Self::Circle { .. } => 1,
-        };
-        let mut parameters = RobotParameters::paper(sections);
-        let of_sections = parameters.sections.iter();
-        let lengths_m: Vec<f64> = of_sections.map(|section| section.length_m).collect();
-        let mut start = Configuration::straight(sections);
-        let mut obstacles = Vec::new();
-        let (curve, cycles): (Box<dyn Trajectory + Send>, _) = match *self {
-            Self::Spiral { .. } => {
-                let mut spiral = Spiral::for_sections(&lengths_m);
-                spiral.duration_s += BEYOND_S;
-                start.as_mut_slice()[2 * sections - 2..].copy_from_slice(&spiral.start_bend_rad());
-                (Box::new(spiral), 994)
-            }
-            Self::Line { rate_limit_rad_s } => {
-                for section in &mut parameters.sections {
-                    section.rate_max_rad_s = rate_limit_rad_s;
-                }
-                let mut line = Line::for_sections(&lengths_m);
-                line.duration_s += BEYOND_S;
-                line.tip_axis = Some([0.0, 0.0, 1.0]);
-                (Box::new(line), 510)
-            }
-            Self::Circle { .. } => {
-                // Body and point have no radius, so clearance is the distance from the backbone.
-                parameters.sections[0].body_radius_m = 0.0;
-                let mut circle = Circle::for_sections(&lengths_m);
-                circle.duration_s = TAU + 2.0 * BEYOND_S;
-                let centre_m = Vector3::from(circle.position_m(FRAC_PI_2));
-                let point = Shape::Sphere { centre_m };
-                obstacles.push(Obstacle::new(point, 0.0, Vector3::zeros())?);
-                // One turn, and 0.7 s in which the straight robot approaches it.
-                (Box::new(circle), 1400)
-            }
-        };
-        Ok(Scene {
-            robot: Robot::new(&parameters)?,
-            start,
-            curve,
-            obstacles,
-            cycles,
+        Ok(match *self {
+            Self::Spiral { sections } => Scene::spiral(sections)?,
+            Self::Line { rate_limit_rad_s } => Scene::line(rate_limit_rad_s)?,
+            Self::Circle { .. } => Scene::circle()?,
         })
     }
 
@@ -196,6 +149,6 @@ pub struct Outcome {
     pub experiment: Experiment,
     pub scene: Scene,
     pub row: Value,
-    pub first: Vec<Sample>,
+    pub first: Run,
     pub runs: Vec<Value>,
 }

@@ -31,7 +31,6 @@ pub mod paper;
 pub mod plots;
 pub mod progress;
 pub mod quality;
-pub mod quantiles;
 pub mod rate;
 pub mod report;
 pub mod robustness;
@@ -39,4 +38,4 @@ pub mod run_options;
 pub mod solver;
 mod study;
 
-use cdcr_testbed::{interrupt, load, subject, system};
+use cdcr_testbed::{interrupt, load, quantiles, subject, system};

@@ -6,7 +6,7 @@ use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::closed_loop::{self, Sample, Scene};
+use crate::closed_loop::{self, Run, Sample, Scene};
 use crate::dataset::{Dataset, each, joined, together};
 use crate::experiment::{Experiment, Outcome, Solver, Task};
 use crate::interrupt;
@@ -106,12 +106,12 @@ pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -
     for seed in 1..=effort.runs(&experiment) {
         let mut settings = experiment.settings();
         settings.seed = seed;
-        let samples = closed_loop::run(&scene, settings)?;
-        for sample in &samples {
+        let run = closed_loop::run(&scene, settings)?;
+        for sample in &run.0 {
             solve_ns.saturating_record(sample.solve_ns);
         }
-        runs.push(run_row(&experiment, &scene, &samples));
-        first.get_or_insert(samples);
+        runs.push(run_row(&experiment, &scene, &run));
+        first.get_or_insert(run);
         progress();
     }
     Ok(Outcome {
@@ -123,11 +123,9 @@ pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -
     })
 }
 
-fn run_row(experiment: &Experiment, scene: &Scene, samples: &[Sample]) -> Value {
+fn run_row(experiment: &Experiment, scene: &Scene, run: &Run) -> Value {
     let (settings, task) = (experiment.settings(), experiment.task);
-    let most = |value: &dyn Fn(&Sample) -> f64| samples.iter().map(value).fold(0.0, f64::max);
-    let sum_mm: f64 = samples.iter().map(Sample::error_mm).sum();
-    let times_us = samples.iter().map(|sample| sample.solve_ns as f64 * 1e-3);
+    let times_us = run.0.iter().map(|sample| sample.solve_ns as f64 * 1e-3);
     let (paper_error_mm, paper_solve_ms) = task.paper();
     let common = json!({
         "name": task.name(),
@@ -139,8 +137,8 @@ fn run_row(experiment: &Experiment, scene: &Scene, samples: &[Sample]) -> Value 
         "iterations": settings.swarm_iterations,
         "samples": scene.cycles,
         "paper": { "mean_error_mm": paper_error_mm, "mean_solve_ms": paper_solve_ms },
-        "mean_error_mm": sum_mm / samples.len() as f64,
-        "max_error_mm": most(&Sample::error_mm),
+        "mean_error_mm": run.mean_error_mm(),
+        "max_error_mm": run.most(Sample::error_mm),
         "solve_p50_us": median(times_us),
     });
     let angles = |sample: &Sample| ZyxAngles::from_rotation(&sample.tip.rotation);
@@ -148,19 +146,18 @@ fn run_row(experiment: &Experiment, scene: &Scene, samples: &[Sample]) -> Value 
         Task::Spiral { .. } => json!({}),
         Task::Line { rate_limit_rad_s } => json!({
             "rate_limit_rad_s": rate_limit_rad_s,
-            "max_theta_rad": most(&|sample| angles(sample).theta_rad.abs()),
-            "max_psi_rad": most(&|sample| angles(sample).psi_rad.abs()),
+            "max_theta_rad": run.most(|sample| angles(sample).theta_rad.abs()),
+            "max_psi_rad": run.most(|sample| angles(sample).psi_rad.abs()),
         }),
         Task::Circle { safe_distance_m } => {
-            let clearances_m = samples.iter().map(|sample| sample.clearance_m);
-            let obstacle_m = scene.obstacle_m();
+            let obstacle_m = closed_loop::obstacle_m(scene);
             let distance_m = |sample: &Sample| (sample.reference_m - obstacle_m).norm();
-            let errors = samples.iter().map(|it| (distance_m(it), it.error_mm()));
+            let errors = run.0.iter().map(|it| (distance_m(it), it.error_mm()));
             let errors: Vec<_> = errors.collect();
             let [outside_mm, peak_mm] = errors_mm(&errors, safe_distance_m);
             json!({
                 "safe_distance_mm": 1e3 * safe_distance_m,
-                "min_clearance_mm": 1e3 * clearances_m.fold(f64::INFINITY, f64::min),
+                "min_clearance_mm": 1e3 * run.least_clearance_m(),
                 "mean_error_outside_mm": outside_mm,
                 "peak_error_mm": peak_mm,
             })

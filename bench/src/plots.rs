@@ -10,7 +10,7 @@ use crate::chart::{
     BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, RGBColor, SKY, Scale, View,
     YELLOW,
 };
-use crate::closed_loop::{PERIOD_S, Sample};
+use crate::closed_loop::{PERIOD_S, Sample, obstacle_m};
 use crate::dataset::Dataset;
 use crate::experiment::{LINE_TILT_MAX_RAD, Outcome, Solver, Task};
 
@@ -127,7 +127,7 @@ impl<'a> Drawn<'a> {
         Ok(Self {
             title: format!("Simulated {title}"),
             all: Solver::ALL.into_iter().map(find).collect::<Result<_>>()?,
-            samples: &run.first,
+            samples: &run.first.0,
             run,
         })
     }
@@ -223,7 +223,7 @@ impl<'a> Drawn<'a> {
     ) -> Vec<Panel> {
         let styles = [SKY, PURPLE, ORANGE, BLUE].into_iter().zip(widths);
         let curve = |(outcome, (colour, width)): (&&Outcome, (RGBColor, u32))| {
-            let points = exceeded(&outcome.first, &value);
+            let points = exceeded(&outcome.first.0, &value);
             Curve::line(outcome.experiment.solver.name(), points, colour).width(width)
         };
         let curves = self.all.iter().zip(styles).map(curve).chain(beside);
@@ -364,7 +364,7 @@ fn spiral_paths(tasks: &[&Drawn<'_>]) -> Vec<Panel> {
 fn circle_path(view: View, from: &str, tasks: &[&Drawn<'_>]) -> Panel {
     let mut curves = Vec::new();
     for (task, colour) in tasks.iter().zip(COLOURS[0]) {
-        let (centre_m, safe_m) = (task.run.scene.obstacle_m(), task.safe_m());
+        let (centre_m, safe_m) = (obstacle_m(&task.run.scene), task.safe_m());
         if curves.is_empty() {
             curves.push(Curve::line("reference", task.reference(view), GREY).width(10));
             curves.push(Curve::line("obstacle", ball(view, &centre_m, 2e-3), DARK).width(8));

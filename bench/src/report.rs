@@ -10,7 +10,7 @@ use std::thread;
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, anyhow};
-use cdcr_process::output_folder;
+use cdcr_process::{fill_folder, output_folder};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
@@ -27,7 +27,7 @@ pub const QUICK: &str =
     "This was a quick look (--quick): it shows that everything runs, and proves nothing.";
 
 /// The benchmarks whose targets need real time and the default configuration.
-const JUDGED: [&str; 4] = ["deadline", "latency", "rate", "footprint"];
+const TARGETED: [&str; 4] = ["deadline", "latency", "rate", "footprint"];
 
 /// Key of the cause in the result of a failed benchmark.
 const ERROR: &str = "error";
@@ -66,7 +66,9 @@ impl Start {
     }
 
     pub fn json_of(&self, dataset: &Dataset) -> Result<String> {
-        self.json(dataset.json(), &dataset.metrics)
+        let mut keys = dataset.json();
+        keys.insert("tables".to_owned(), dataset.shown());
+        self.json(keys, &dataset.metrics)
     }
 
     pub fn files_of(&self, dataset: &Dataset) -> Result<Files> {
@@ -100,24 +102,15 @@ fn add_data(files: &mut Files, started: SystemTime, dataset: &Dataset) -> Result
     Ok(())
 }
 
-/// Writes all files into `folder`, which is created if needed. The files are first written to a temporary
-/// folder and moved when all are complete, so that a full disk leaves older files unchanged.
 pub fn write(files: &Files, folder: &Path) -> Result<()> {
-    output_folder(folder)?;
-    let fresh = tempfile::Builder::new().prefix(".new-").tempdir_in(folder);
-    let fresh = fresh.with_context(|| format!("cannot write into {}", folder.display()))?;
-    let cannot = |file: &Path| format!("cannot write {}", file.display());
-    for (name, text) in files {
-        let file = fresh.path().join(name);
-        output_folder(file.parent().unwrap_or(folder))?;
-        fs::write(&file, text).with_context(|| cannot(&file))?;
-    }
-    for name in files.keys() {
-        let place = folder.join(name);
-        output_folder(place.parent().unwrap_or(folder))?;
-        fs::rename(fresh.path().join(name), &place).with_context(|| cannot(&place))?;
-    }
-    Ok(())
+    fill_folder(folder, |fresh| {
+        for (name, text) in files {
+            let file = fresh.join(name);
+            output_folder(file.parent().unwrap_or(fresh))?;
+            fs::write(&file, text).with_context(|| format!("cannot write {name}"))?;
+        }
+        Ok(())
+    })
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::Args)]
@@ -159,7 +152,7 @@ impl Plan {
         let (started, begin) = (SystemTime::now(), Instant::now());
         let Self { name, run, .. } = self;
         let result = thread::scope(|scope| scope.spawn(|| run(progress)).join());
-        let panicked = "the benchmark panicked; what it said is on the standard error";
+        let panicked = "the benchmark panicked; its message is on the standard error";
         let result = result.unwrap_or_else(|_| Err(anyhow!(panicked)));
         let failed = |cause: anyhow::Error| {
             let mut dataset = Dataset::new(name, "heading = ''\nexplanation = ''");
@@ -223,7 +216,7 @@ impl BenchReport {
     /// conditions of the targets were not met.
     fn targets(&self) -> Dataset {
         let mut dataset = Dataset::new("targets", include_str!("report/targets.toml"));
-        let has_any = self.datasets().any(|of| JUDGED.contains(&of.name));
+        let has_any = self.datasets().any(|of| TARGETED.contains(&of.name));
         let realtime = self.start.environment.is_realtime();
         let mut rows = Vec::new();
         if !has_any || (realtime && self.default_config) {
@@ -234,7 +227,7 @@ impl BenchReport {
             } else {
                 "they are for real time, which this user is not granted"
             };
-            dataset.note = format!("The figures to reach were not judged: {why}.");
+            dataset.note = format!("The targets were not evaluated: {why}.");
         }
         dataset.add("targets", rows);
         if dataset.rows("targets").is_empty() {
@@ -261,20 +254,22 @@ impl BenchReport {
     }
 
     fn json(&self) -> Result<String> {
-        let shown = |dataset: &Dataset| json!(dataset.tables().collect::<Vec<_>>());
         let targets = self.targets();
         let mut all = targets.json();
-        let (mut tables, mut took_s) = (json!({ "targets": shown(&targets) }), json!({}));
+        let (mut tables, mut took_s) = (json!({ "targets": targets.shown() }), json!({}));
         for part in &self.parts {
             let name = part.dataset.name;
             all.insert(name.to_owned(), part.dataset.json().into());
-            (tables[name], took_s[name]) = (shown(&part.dataset), part.took_s.into());
+            (tables[name], took_s[name]) = (part.dataset.shown(), part.took_s.into());
         }
         let (extent, failed) = (self.extent, self.failed());
         let own = json!({ "tables": tables, "extent": extent, "failed": failed, "took_s": took_s });
         all.extend(own.as_object().cloned().unwrap_or_default());
         if !targets.note.is_empty() {
-            all.insert("targets_not_judged".to_owned(), targets.note.clone().into());
+            all.insert(
+                "targets_not_evaluated".to_owned(),
+                targets.note.clone().into(),
+            );
         }
         let metrics = self.datasets().map(|dataset| &dataset.metrics[..]);
         self.start.json(all, &metrics.collect::<Vec<_>>().concat())
@@ -308,25 +303,7 @@ impl BenchReport {
 
 #[cfg(test)]
 mod tests {
-    use cdcr_scratch::Scratch;
-
     use super::*;
-
-    #[test]
-    fn a_folder_holds_the_files_and_nothing_else_or_the_older_ones() {
-        let place = Scratch::temporary().expect("a folder");
-        let folder = place.path().join("new");
-        let files = |text: &str| Files::from([("deep/b.hlog".to_owned(), text.to_owned())]);
-        write(&files("old"), &folder).expect("written");
-        write(&files("new"), &folder).expect("written over");
-        let mut broken = files("broken");
-        broken.insert("x".repeat(300), String::new());
-        write(&broken, &folder).expect_err("a name that no file can have");
-        let text = fs::read_to_string(folder.join("deep/b.hlog"));
-        assert_eq!(text.expect("a file"), "new");
-        let entries = fs::read_dir(&folder).expect("a folder").count();
-        assert_eq!(entries, 1, "no file for the time between is left");
-    }
 
     #[test]
     fn a_benchmark_that_panics_is_a_part_without_a_result() {

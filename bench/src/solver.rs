@@ -11,8 +11,6 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
 use cdcr_controller::optimizer::Simd;
-use cdcr_controller::robot::{Obstacle, Robot, Shape};
-use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
@@ -32,11 +30,6 @@ const SIZE_TIME: Duration = Duration::from_millis(1200);
 /// Uncounted cycles at the start of a case.
 const WARM_UP: u64 = 10;
 const CYCLES_MIN: u64 = 2 * WARM_UP;
-const OBSTACLE_RADIUS_M: f64 = 0.01;
-/// Gap between the obstacles and the straight body, beyond the safe distance \[m\]: small enough that each is
-/// within reach, large enough for the robot to do its task.
-const OBSTACLE_GAP_M: f64 = 0.016;
-const CAPSULE_LENGTH_M: f64 = 0.03;
 
 /// Approximate time of one size \[s\].
 const SIZE_S: f64 = 1.0;
@@ -180,33 +173,10 @@ impl Size {
     }
 
     pub(crate) fn scene(&self) -> Result<Scene> {
-        let mut scene = self.task.scene()?;
-        let safe_m = self.settings.safe_distance_m;
-        scene.obstacles = obstacles(&scene.robot, safe_m, self.obstacles)?;
         let cycles_max = [CYCLES_MAX, OBSTACLE_CYCLES_MAX][usize::from(self.obstacles > 0)];
-        Ok(scene.at_most(cycles_max))
+        let scene = self.task.scene()?.at_most(cycles_max);
+        Ok(scene.crowded(self.obstacles, self.settings.safe_distance_m, 4)?)
     }
-}
-
-/// Spheres, and every fourth a vertical capsule, beside the lower quarter of the last section.
-fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Obstacle>> {
-    let (last, below) = robot.sections().split_last().context("no section")?;
-    let base_m: f64 = below.iter().map(|section| section.length_m).sum();
-    let apart_m = last.body_radius_m + safe_distance_m + OBSTACLE_GAP_M + OBSTACLE_RADIUS_M;
-    let obstacle = |i: usize| {
-        // The golden angle: no two in one direction.
-        let (sin, cos) = (2.4 * i as f64).sin_cos();
-        let share = 0.05 + 0.2 * i as f64 / count as f64;
-        let start_m = Vector3::new(apart_m * cos, apart_m * sin, base_m + share * last.length_m);
-        let shape = if i % 4 == 3 {
-            let end_m = start_m + Vector3::new(0.0, 0.0, CAPSULE_LENGTH_M);
-            Shape::Capsule { start_m, end_m }
-        } else {
-            Shape::Sphere { centre_m: start_m }
-        };
-        Obstacle::new(shape, OBSTACLE_RADIUS_M, Vector3::zeros())
-    };
-    Ok((0..count).map(obstacle).collect::<Result<_, _>>()?)
 }
 
 fn measure(size: &Size) -> Result<Vec<Value>> {
@@ -251,36 +221,4 @@ fn measure(size: &Size) -> Result<Vec<Value>> {
         })
     };
     Ok(runners.iter().map(case).collect())
-}
-
-#[cfg(test)]
-mod tests {
-    use std::f64::consts::SQRT_2;
-
-    use cdcr_controller::robot::SECTIONS_MAX;
-
-    use super::*;
-    use crate::closed_loop;
-
-    #[test]
-    fn every_obstacle_stays_within_reach_and_the_task_feasible() {
-        for sections in [3, 6] {
-            let mut size = Size::paper(Task::Spiral { sections }, Solver::GaussNewton);
-            size.obstacles = 64;
-            let scene = size.scene().expect("a scene");
-            let settings = size.settings;
-            // The obstacles that the solver considers, with the body at its rate limits.
-            let horizon_s = f64::from(settings.horizon_steps) * PERIOD_S;
-            let change_rad = SQRT_2 * scene.robot.sections()[0].rate_max_rad_s * horizon_s;
-            let travel_m = scene.robot.travel_m(&[change_rad; SECTIONS_MAX]);
-            let reach_m = travel_m.map(|travel_m| travel_m + settings.safe_distance_m);
-            for sample in closed_loop::run(&scene, settings).expect("a run") {
-                let body = scene.robot.body(&sample.configuration);
-                let near = |o: &&Obstacle| body.sections_in_reach(o, &reach_m) != 0;
-                assert_eq!(scene.obstacles.iter().filter(near).count(), 64);
-                let error_mm = sample.error_mm();
-                assert!(error_mm < 0.1, "{sections} sections: {error_mm} mm");
-            }
-        }
-    }
 }

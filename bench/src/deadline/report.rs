@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn misses_are_judged_for_all_loads_together_and_ratios_by_the_worst_load() {
+    fn misses_are_compared_for_all_loads_together_and_ratios_by_the_worst_load() {
         use Subject::{Bare, Cyclictest, Daemon};
         let (mut cases, setup) = (Cases::new(), Setup::Realtime);
         for (load, subject, misses, own, wake_us) in [

@@ -147,7 +147,7 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    fn with_daemon(&self, link: &str, round: &mut Round, told: &mut OfDaemon) -> Result<()> {
+    fn with_daemon(&self, link: &str, round: &mut Round, reported: &mut OfDaemon) -> Result<()> {
         let launch = self.options.launch(link, &self.cores, self.may_be_realtime);
         let daemon = Daemon::start(&launch, &self.cores)?;
         let location = daemon.location();
@@ -158,7 +158,7 @@ impl Bench<'_> {
                 SIMULATED => self.simulated(location, &mut watcher, lead_ns, round)?,
                 _ => self.driven(&mut watcher, lead_ns, round)?,
             }
-            told.add(&watcher, lead_ns);
+            reported.add(&watcher, lead_ns);
             Ok(())
         });
         worked.with_context(|| format!("with link.kind = {link}"))?;

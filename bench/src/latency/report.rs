@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn percentiles_of_too_few_values_are_not_told() {
+    fn percentiles_of_too_few_values_are_not_shown() {
         let [both, p999, none] = [[true; 3], [false, true, false], [false; 3]];
         for (count, absent) in [(99, both), (100, p999), (1000, none)] {
             let mut round = Round::new(0);

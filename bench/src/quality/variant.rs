@@ -4,11 +4,12 @@ use std::time::Duration;
 
 use anyhow::Result;
 use cdcr_controller::nmpc::NmpcSettings;
-use cdcr_controller::optimizer::Budget;
 use serde_json::{Value, json};
 
 use super::course::Course;
-use crate::closed_loop::{End, PERIOD_S, PlanEvaluator, Sample, Scene, timed_solve};
+use crate::closed_loop::{
+    End, PERIOD_S, PlanEvaluator, Sample, Scene, SceneLoop, run_with, timed_solve,
+};
 use crate::experiment::Solver;
 use crate::metric::median;
 use crate::quantiles::{histogram, quantile_us};
@@ -111,31 +112,18 @@ impl Variant {
     pub(super) fn drive(&self, scene: &Scene, seed: u64) -> Result<Value> {
         let mut settings = self.settings;
         settings.seed = seed;
-        let mut nmpc = scene.solver(settings)?;
         let mut evaluator = PlanEvaluator::new(scene, settings)?;
-        let mut closed = scene.begin(settings)?;
-        // Touches all memory that a solve may need. The seed does not matter, because the plan is forgotten.
-        nmpc.solve(&closed.input(), &mut Budget::from_quanta(20));
-        nmpc.forget_plan();
         let budget = self.budget_us().map(Duration::from_micros);
         let end = budget.map_or(End::Never, End::After);
-        let (mut samples, mut times_ns) = (Vec::new(), histogram());
-        let (mut cost, mut cut_short, mut guarded) = (0.0, 0_u64, 0_u64);
-        while closed.cycle() < scene.cycles {
-            let (desired_rates, report, time) = timed_solve(&mut nmpc, &closed.input(), end);
-            times_ns.saturating_record(time.as_nanos() as u64);
-            cut_short += u64::from(report.budget_spent);
-            cost += evaluator.cost(&closed.input(), nmpc.plan());
-            closed.advance(&desired_rates);
-            guarded += u64::from(closed.command().clearance_hit);
-            samples.push(scene.sample(&closed, time));
-        }
-        let count = samples.len() as f64;
-        let errors_mm = || samples.iter().map(Sample::error_mm);
-        let clearances_m = || samples.iter().map(|sample| sample.clearance_m);
-        let below_safe = clearances_m().filter(|m| *m < settings.safe_distance_m - ROUNDING_M);
-        let below_safe_ms = 1e3 * PERIOD_S * below_safe.count() as f64;
-        let least_m = clearances_m().fold(f64::INFINITY, f64::min);
+        let mut cost = 0.0;
+        let run = run_with(scene, settings, end, SceneLoop::advance, |input, plan| {
+            cost += evaluator.cost(input, plan);
+        })?;
+        let mut times_ns = histogram();
+        (run.0.iter()).for_each(|sample| times_ns.saturating_record(sample.solve_ns));
+        let count = run.0.len() as f64;
+        let near_m = settings.safe_distance_m - ROUNDING_M;
+        let below_safe_ms = 1e3 * PERIOD_S * count * run.share(|it| it.clearance_m < near_m);
         let has_obstacles = !scene.obstacles.is_empty();
         let has_swarm = self.solver != Solver::GaussNewton;
         let (axis, value) = self.axis();
@@ -152,13 +140,13 @@ impl Variant {
             "horizon": settings.horizon_steps,
             // 0: one for each step, up to the limit.
             "blocks": settings.control_blocks,
-            "mean_error_mm": errors_mm().sum::<f64>() / count,
-            "max_error_mm": errors_mm().fold(0.0, f64::max),
-            "min_clearance_mm": has_obstacles.then_some(1e3 * least_m),
+            "mean_error_mm": run.mean_error_mm(),
+            "max_error_mm": run.most(Sample::error_mm),
+            "min_clearance_mm": has_obstacles.then(|| 1e3 * run.least_clearance_m()),
             "below_safe_ms": has_obstacles.then_some(below_safe_ms),
             "mean_cost": cost / count,
-            "cut_short_share": cut_short as f64 / count,
-            "guarded_share": guarded as f64 / count,
+            "cut_short_share": run.share(|sample| sample.cut_short),
+            "guarded_share": run.share(|sample| sample.guarded),
             "solve_p50_us": quantile_us(&times_ns, 0.5),
             "solve_p99_us": quantile_us(&times_ns, 0.99),
         }))
@@ -184,61 +172,4 @@ pub(super) fn iteration_us(course: Course) -> Result<f64> {
         closed.step(&mut driver);
     }
     Ok(median(times_us).unwrap_or(1.0))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn drive(variant: Variant, cycles: u64, seed: u64) -> impl Fn(&str) -> f64 {
-        let scene = variant.course.scene().unwrap().at_most(cycles);
-        let row = variant.drive(&scene, seed).unwrap();
-        println!("{row}");
-        move |key| row[key].as_f64().unwrap_or(f64::NAN)
-    }
-
-    #[test]
-    fn with_enough_time_the_tip_arrives_and_the_body_keeps_clear() {
-        // Far more work than fits into a cycle of 5 ms; the same bits on every machine.
-        let run = |course, seed| {
-            let mut variant = Variant::new(course, Solver::KpsoRefined, Varied::Swarm(32, 50));
-            variant.settings.refinement_steps = 20;
-            drive(variant, u64::MAX, seed)
-        };
-        let mut max_mm = 0.0;
-        for seed in 1..=5 {
-            let of = run(Course::Gap, seed);
-            assert!(of("mean_error_mm") < 1.0 && of("below_safe_ms") == 0.0);
-            // The gap was as narrow as intended.
-            assert!(of("min_clearance_mm") < 14.0);
-            max_mm += of("max_error_mm") / 5.0;
-        }
-        assert!(max_mm < 5.0, "{max_mm}");
-        let of = run(Course::Crossing, 1);
-        assert!(of("mean_error_mm") < 6.0 && of("max_error_mm") < 25.0);
-        // The ball came as near as allowed.
-        assert!(of("below_safe_ms") == 0.0 && of("min_clearance_mm") < 11.0);
-        let of = run(Course::Jump, 1);
-        // No robot can follow the jump at once.
-        assert!(of("max_error_mm") > 50.0 && of("mean_error_mm") < 15.0);
-        assert!(of("min_clearance_mm").is_nan());
-    }
-
-    #[test]
-    fn without_any_time_the_robot_stays_where_it_is() {
-        let run = |course, cycles| {
-            let variant = Variant::new(course, Solver::KpsoRefined, Varied::Budget(0, 1.0));
-            drive(variant, cycles, 1)
-        };
-        let of = run(Course::Jump, 60);
-        assert_eq!(of("cut_short_share"), 1.0);
-        let scene = Course::Jump.scene().unwrap();
-        let jump_mm = 1e3 * (scene.point_m(60) - scene.point_m(0)).norm();
-        assert!((of("max_error_mm") - jump_mm).abs() < 1e-9);
-        // The plan is evaluated even without any iteration of the solver.
-        assert!(of("mean_cost").is_finite() && of("mean_cost") > 0.0);
-        // A ball moves into the robot.
-        let of = run(Course::Crossing, u64::MAX);
-        assert!(of("min_clearance_mm") < 0.0 && of("below_safe_ms") > 100.0);
-    }
 }

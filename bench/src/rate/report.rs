@@ -146,7 +146,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_failed_is_told_and_is_no_value_of_a_metric() {
+    fn what_failed_is_reported_and_is_no_value_of_a_metric() {
         let tried = |period_ms, outcomes: &[_]| -> Vec<Trial> {
             let outcomes = outcomes.iter();
             outcomes.map(|outcome| trial(period_ms, *outcome)).collect()

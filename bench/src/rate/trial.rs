@@ -310,7 +310,7 @@ mod tests {
 
     #[test]
     #[rustfmt::skip]
-    fn a_trial_is_judged_by_what_was_lost_and_by_whose_doing() {
+    fn the_outcome_of_a_trial_follows_from_what_was_lost_and_why() {
         use TrialOutcome::{Holds, Machine, Own, Slow};
         let (none, stalls) = ([0; 5], [2, 0, 0, 0, 1]);
         let words = "3 late, 40 skipped (2 platform, 1 stall)";

@@ -17,11 +17,9 @@ use cdcr_controller::robot::{Obstacle, Shape};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
-pub use tuning::knob;
-
 use crate::benchmark::Benchmark;
 use crate::chart::{Curve, Panel, Scale};
-use crate::dataset::{Dataset, ShownTable, number};
+use crate::dataset::{Dataset, number};
 use crate::interrupt;
 use crate::progress::Progress;
 use scenario::{Control, Scenario};
@@ -90,7 +88,7 @@ impl Benchmark for RobustnessOptions {
         if self.sweep {
             return tuning::run(self.only.as_deref(), RUN_S, progress);
         }
-        let mut dataset = declared();
+        let mut dataset = Dataset::new("robustness", DECLARATION);
         let (mut rows, mut panels) = (Vec::<Value>::new(), Vec::<Panel>::new());
         let cases = self.cases();
         for (case, runs) in cases.iter().zip(self.all_runs(&cases, progress)?) {
@@ -244,10 +242,6 @@ fn cores() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
 
-fn declared() -> Dataset {
-    Dataset::new("robustness", DECLARATION)
-}
-
 /// Effect of each part of the controller: a number of a robot that needs it, with the part and without.
 fn parts(rows: &[Value]) -> Vec<Value> {
     let declared: Parts = toml::from_str(DECLARATION).expect("a declaration");
@@ -265,14 +259,6 @@ fn parts(rows: &[Value]) -> Vec<Value> {
         )
     };
     declared.shown_parts.iter().filter_map(row).collect()
-}
-
-/// The tables for the documents, from the rows of a result: all robots, then the parts of the controller.
-pub fn shown(rows: &[Value]) -> [ShownTable; 2] {
-    let mut dataset = declared();
-    dataset.add("comparison", comparison(rows));
-    dataset.add("parts", parts(rows));
-    ["comparison", "parts"].map(|name| dataset.table(name).shown())
 }
 
 fn comparison(rows: &[Value]) -> Vec<Value> {

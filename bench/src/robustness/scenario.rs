@@ -209,29 +209,3 @@ fn with(flaws: Flaws, named: &BTreeMap<String, f64>) -> Flaws {
     let flaws = named.iter().try_fold(flaws, set);
     flaws.expect("a flaw that is declared")
 }
-
-#[cfg(test)]
-mod tests {
-    use cdcr_controller::robot::{Robot, RobotParameters};
-
-    use super::*;
-    use crate::closed_loop;
-    use crate::experiment::Task;
-
-    /// The tip at the nearest reachable point of a shorter robot: the target `nearest`.
-    #[test]
-    fn the_part_of_the_spiral_that_is_out_of_reach_is_that_far_away() {
-        let mut shorter = RobotParameters::paper(3);
-        for section in &mut shorter.sections {
-            section.length_m *= 0.95;
-        }
-        let mut scene = Task::Spiral { sections: 3 }.scene().unwrap();
-        scene.robot = Robot::new(&shorter).unwrap();
-        let samples = closed_loop::run(&scene, NmpcSettings::default()).unwrap();
-        // The evaluated cycles: see `FigureEightRun::settled_mm`.
-        let settled = &samples[597..];
-        let errors_mm = settled.iter().map(closed_loop::Sample::error_mm);
-        let mean_mm = errors_mm.sum::<f64>() / settled.len() as f64;
-        assert!((mean_mm - 34.22).abs() < 0.005, "{mean_mm}");
-    }
-}

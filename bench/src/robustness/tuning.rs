@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::scenario::{CONTROLS, Scenario};
 use crate::chart::{BLUE, ORANGE, Panel, Scale, of_rows};
-use crate::dataset::{Dataset, ShownTable};
+use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::progress::Progress;
 
@@ -129,19 +129,6 @@ fn panels(rows: &[Value]) -> Vec<Panel> {
         panel("rate change, rms [rad/s]", scale, vec![both, cables]);
     }
     panels
-}
-
-pub fn knob(knob: &str, rows: &[Value]) -> ShownTable {
-    let mut dataset = Dataset::new("tuning", DECLARATION);
-    let of_knob = rows.iter().filter(|row| row["knob"] == knob);
-    dataset.add("knobs", of_knob.cloned().collect());
-    let table = dataset.table("knobs");
-    table.title.clear();
-    table.columns.remove(0);
-    if knob == PRESET {
-        PRESET.clone_into(&mut table.columns[0].head);
-    }
-    table.shown()
 }
 
 #[cfg(test)]

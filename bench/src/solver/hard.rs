@@ -3,14 +3,12 @@
 use std::time::Duration;
 
 use anyhow::Result;
-use cdcr_controller::nmpc::SolveInput;
-use cdcr_controller::optimizer::{Budget, QUANTUM_NS};
-use cdcr_controller::reference::ReferenceSample;
-use cdcr_controller::robot::BendRates;
+use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::optimizer::QUANTUM_NS;
 use serde_json::{Value, json};
 
 use super::Size;
-use crate::closed_loop::{End, PERIOD_S, timed_solve};
+use crate::closed_loop::{End, Run, Sample, SceneLoop, run_with};
 use crate::dataset::{each, joined};
 use crate::experiment::{Solver, Task};
 use crate::quantiles::{histogram, quantile_us};
@@ -35,19 +33,20 @@ pub fn measure(divisor: u64) -> Result<Vec<Value>> {
         let run = |_| follow(problem, CYCLES_MAX, end);
         let mut runs = (0..REPETITIONS).map(run).collect::<Result<Vec<_>>>()?;
         // A stall that cuts a solve short leads to another course.
-        runs.sort_by_key(|run| run.cut_short);
-        let is_same = |run: &&Run| run.rates == runs[0].rates;
+        runs.sort_by_key(|run| run.0.iter().filter(|sample| sample.cut_short).count());
+        let rates = |run: &Run| -> Vec<_> { run.0.iter().map(|sample| sample.rates).collect() };
+        let first = rates(&runs[0]);
+        runs.retain(|run| rates(run) == first);
         let mut times = histogram();
-        for cycle in 0..runs[0].times.len() {
-            let of_cycle = runs.iter().filter(is_same).map(|run| run.times[cycle]);
-            let fastest = of_cycle.min().unwrap_or_default();
-            times.saturating_record(fastest.as_nanos() as u64);
+        for cycle in 0..runs[0].0.len() {
+            let of_cycle = runs.iter().map(|run| run.0[cycle].solve_ns);
+            times.saturating_record(of_cycle.min().unwrap_or_default());
         }
         let quantiles = json!({
             "p50_us": quantile_us(&times, 0.5),
             "p99_us": quantile_us(&times, 0.99),
         });
-        Ok(joined([runs[0].outcome.clone(), quantiles]))
+        Ok(joined([outcome(&runs[0]), quantiles]))
     })
 }
 
@@ -58,7 +57,7 @@ pub fn measure_by_deadlines(divisor: u64) -> Result<Vec<Value>> {
         let mut row = json!({});
         for deadline_us in DEADLINES_US {
             let end = End::AfterQuanta(1000 * deadline_us / QUANTUM_NS);
-            let outcome = follow(problem, DEADLINE_CYCLES_MAX, end)?.outcome;
+            let outcome = outcome(&follow(problem, DEADLINE_CYCLES_MAX, end)?);
             row[format!("error_mm_{deadline_us}_us")] = outcome["mean_error_mm"].clone();
             by_deadlines.push(outcome);
         }
@@ -86,63 +85,23 @@ fn every(divisor: u64, solve: impl Fn(Problem) -> Result<Value>) -> Result<Vec<V
     Ok(rows)
 }
 
-struct Run {
-    outcome: Value,
-    cut_short: u64,
-    rates: Vec<BendRates>,
-    times: Vec<Duration>,
-}
-
-/// The robot executes the plan; no guard corrects it. As in a daemon, the first solve was rehearsed.
+/// No guard corrects the plan.
 fn follow((solver, speed, obstacles): Problem, cycles_max: u64, end: End) -> Result<Run> {
     let mut size = Size::paper(Task::Spiral { sections: 3 }, solver);
     (size.settings.horizon_steps, size.obstacles) = (HORIZON, obstacles);
-    let (scene, settings) = (size.scene()?, size.settings);
-    let mut nmpc = scene.solver(settings)?;
-    let at_s = |cycle: u64| scene.time_s(cycle) * f64::from(speed);
-    let (mut at, mut previous_rates) = (scene.start, BendRates::zero(3));
-    let (mut errors_mm, mut all_rates, mut times) = (Vec::new(), Vec::new(), Vec::new());
-    let (mut cut_short, mut spare_m) = (0, f64::INFINITY);
-    let cycles = (size.task.scene()?.cycles / u64::from(speed)).min(cycles_max);
-    for cycle in 0..cycles {
-        let steps = 1..=u64::from(HORIZON);
-        let positions_m = steps.map(|step| scene.curve.position_m(at_s(cycle + step)));
-        let window: Vec<_> = positions_m.map(|m| ReferenceSample::at(m.into())).collect();
-        let input = SolveInput {
-            configuration: &at,
-            previous_rates: &previous_rates,
-            reference: &window,
-            obstacles: &scene.obstacles,
-            tip_offset_m: 0.0,
-            elapsed_periods: 1,
-            seed: cycle,
-        };
-        if cycle == 0 {
-            nmpc.rehearse(&input, &mut Budget::unlimited());
-        }
-        let (rates, report, time) = timed_solve(&mut nmpc, &input, end);
-        times.push(time);
-        all_rates.push(rates);
-        cut_short += u64::from(report.budget_spent);
-        at = at.advanced(&rates, PERIOD_S);
-        previous_rates = rates;
-        let error_m = (scene.robot.tip_position(&at) - window[0].position_m).norm();
-        errors_mm.push(1e3 * error_m);
-        let body = scene.robot.body(&at);
-        let clearance_m = body.least_clearance_m(scene.obstacles.iter().copied());
-        spare_m = spare_m.min(clearance_m - settings.safe_distance_m);
-    }
-    let count = errors_mm.len() as f64;
-    let outcome = json!({
-        "mean_error_mm": errors_mm.iter().sum::<f64>() / count,
-        "max_error_mm": errors_mm.iter().copied().fold(0.0, f64::max),
-        "spare_clearance_mm": spare_m.is_finite().then_some(1e3 * spare_m),
-        "cut_short_percent": 100.0 * cut_short as f64 / count,
-    });
-    Ok(Run {
-        outcome,
-        cut_short,
-        rates: all_rates,
-        times,
+    let mut scene = size.scene()?.faster(speed.into());
+    scene.cycles = (size.task.scene()?.cycles / u64::from(speed)).min(cycles_max);
+    let advance = SceneLoop::advance_unchecked;
+    run_with(&scene, size.settings, end, advance, |_, _| ())
+}
+
+fn outcome(run: &Run) -> Value {
+    let least_m = Some(run.least_clearance_m()).filter(|least_m| least_m.is_finite());
+    let safe_m = NmpcSettings::default().safe_distance_m;
+    json!({
+        "mean_error_mm": run.mean_error_mm(),
+        "max_error_mm": run.most(Sample::error_mm),
+        "spare_clearance_mm": least_m.map(|least_m| 1e3 * (least_m - safe_m)),
+        "cut_short_percent": 100.0 * run.share(|sample| sample.cut_short),
     })
 }

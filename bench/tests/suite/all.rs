@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::thread;
@@ -10,7 +9,7 @@ use std::time::Duration;
 
 use cdcr_bench::budget::BUDGETS_US;
 use cdcr_bench::compare::{ChangeClass, Comparison, Input};
-use cdcr_process::in_public_memory;
+use cdcr_process::{daemon_in, in_public_memory};
 use cdcr_scratch::Scratch;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
@@ -126,47 +125,16 @@ fn assert_budgets(rows: &[Value]) {
 }
 
 #[test]
-fn ctrl_c_leaves_nothing_in_the_folder() {
-    let place = Scratch::temporary().expect("a folder");
-    let mut command = command(place.path(), "--only solver --rounds 100");
-    let child = command.stdout(Stdio::null()).stderr(Stdio::piped());
-    let mut child = child.spawn().expect("the program runs");
-    // The first line of output shows that the signal handlers are installed.
-    let mut errors = BufReader::new(child.stderr.take().expect("a pipe"));
-    let mut told = String::new();
-    errors.read_line(&mut told).expect("a line");
-    assert!(told.contains("solver"), "{told}");
-    thread::sleep(Duration::from_millis(100));
-    kill_process(Pid::from_child(&child), Signal::INT).expect("a signal");
-    errors.read_to_string(&mut told).expect("the rest");
-    let code = child.wait().expect("it ends").code();
-    assert!(code == Some(1) && told.contains("interrupted"), "{told}");
-    assert!(names(place.path()).is_empty());
-}
-
-/// Whether a daemon runs in a private place with this prefix. Zombies do not count.
-fn has_daemon(places: &str) -> bool {
-    let entries = fs::read_dir("/proc").expect("processes").flatten();
-    let lines = entries.filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
-    let mut lines = lines.map(|line| String::from_utf8_lossy(&line).into_owned());
-    let place = format!("\0{places}");
-    lines.any(|line| line.contains("cdcrd\0run\0") && line.contains(&place))
-}
-
-#[test]
-fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
+fn ctrl_c_leaves_no_daemon_none_of_its_files_and_no_result() {
     let _machine = machine();
-    let place = Scratch::temporary().expect("a folder");
-    let mut child = program("deadline --duration=6s --rounds=2 --load=none --setup=ordinary")
-        .env("TMPDIR", place.path())
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the program runs");
+    let [place, folder] = [(); 2].map(|()| Scratch::temporary().expect("a folder"));
+    let mut command = command(folder.path(), "--only deadline");
+    command.env("TMPDIR", place.path()).stdout(Stdio::null());
+    let child = command.stderr(Stdio::piped()).spawn();
+    let mut child = child.expect("the program runs");
     let own = format!("cdcrbed_{}_", child.id());
     // A daemon with a client has files; the time until then depends on the machine.
-    while !has_daemon(&own) || in_public_memory(&own).is_empty() {
+    while daemon_in(&own).is_none() || in_public_memory(&own).is_empty() {
         let ended = child.try_wait().expect("it is ours");
         assert!(ended.is_none(), "no daemon was seen");
         thread::sleep(Duration::from_millis(20));
@@ -177,10 +145,10 @@ fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
     let output = child.wait_with_output().expect("it ends");
     let errors = stderr(&output);
     assert!(!folders.is_empty(), "{errors}");
-    let is_told = !output.status.success() && errors.contains("interrupted");
-    assert!(is_told, "{errors}");
-    assert!(!has_daemon(&own) && in_public_memory(&own).is_empty());
-    assert!(names(place.path()).is_empty());
+    let is_reported = output.status.code() == Some(1) && errors.contains("interrupted");
+    assert!(is_reported, "{errors}");
+    assert!(daemon_in(&own).is_none() && in_public_memory(&own).is_empty());
+    assert!(names(place.path()).is_empty() && names(folder.path()).is_empty());
 }
 
 #[test]

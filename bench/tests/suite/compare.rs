@@ -34,7 +34,7 @@ fn write(folder: &Path, name: &str, keys: &[(&str, Value)], numbers: &[Number]) 
 }
 
 #[test]
-fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
+fn a_change_for_the_worse_is_reported_and_fails_only_where_that_is_asked() {
     let folder = Scratch::temporary().expect("a folder");
     // Five numbers, so that more of them change than by chance, and an exact one.
     let many = |name, rounds: &[f64; 3]| {
@@ -47,8 +47,8 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     let found = compare("", [&before, &after]);
     let text = String::from_utf8(found.stdout).expect("a text");
     let counts = "5 worse, 0 better, 1 one-value-worse, 0 one-value-better, 0 within-noise";
-    let is_told = text.contains("a/4") && text.contains(counts);
-    assert!(found.status.success() && is_told, "{text}");
+    let is_reported = text.contains("a/4") && text.contains(counts);
+    assert!(found.status.success() && is_reported, "{text}");
 
     let two = [("a/0", "µs", &[1.0, 2.0][..])];
     let few = write(folder.path(), "few.json", &[], &two);
@@ -82,7 +82,7 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
 
 #[test]
 #[rustfmt::skip]
-fn what_one_run_alone_has_another_machine_and_other_options_are_told() {
+fn what_one_run_alone_has_another_machine_and_other_options_are_reported() {
     let folder = Scratch::temporary().expect("a folder");
     let (one, two): (&[f64], &[f64]) = (&[1.0, 1.1, 1.2], &[2.0, 2.1, 2.2]);
     let old = [("same", one), ("worse", one), ("gone", one), ("unit", one), ("empty", &[])];
@@ -124,8 +124,8 @@ fn files_that_are_no_results_are_named_with_what_is_expected() {
     let is_refused = |files, words| {
         let found = compare("", files);
         let errors = stderr(&found);
-        let is_told = errors.contains(words);
-        assert!(found.status.code() == Some(1) && is_told, "{errors}");
+        let is_reported = errors.contains(words);
+        assert!(found.status.code() == Some(1) && is_reported, "{errors}");
     };
     for text in [
         "",

@@ -31,9 +31,9 @@ fn assert_case(case: &Value) {
     let due = number(case, "cycles") + number(case, "skipped_periods") + lost;
     // 2 s of 5 ms; processes that start late on a stalled machine get a little less.
     assert!(due >= 300.0, "{case}");
-    let (is_daemon, is_told) = (case["subject"] == "daemon", case["subject"] != "cyclictest");
+    let (is_daemon, is_reported) = (case["subject"] == "daemon", case["subject"] != "cyclictest");
     for cause in ["platform", "load", "compute", "fault", "other"] {
-        assert_eq!(case["causes"][cause].is_u64(), is_told, "{case}");
+        assert_eq!(case["causes"][cause].is_u64(), is_reported, "{case}");
     }
     for key in ["compute_us", "response_us", "command_us"] {
         assert_eq!(case[key].is_object(), is_daemon, "{key} of {case}");

@@ -37,6 +37,8 @@ fn the_result_holds_every_variant() {
         // Only a budget shortens a solve.
         assert!(is_timed || share == 0.0, "{case}");
         assert_eq!(case["budget_us"].is_u64(), is_timed, "{case}");
+        // The plan is evaluated even where the solver had no time for it.
+        assert!(number(case, "mean_cost") >= 0.0);
         for key in ["min_clearance_mm", "below_safe_ms"] {
             assert_eq!(case[key].is_f64(), case["course"] == "crossing", "{case}");
         }

@@ -5,26 +5,27 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use cdcr_bench::dataset::ShownTable;
-use cdcr_bench::{rate, robustness};
+use cdcr_bench::rate;
 use serde::Deserialize;
 use serde_json::{Value, json};
+
+use crate::list;
 
 /// Markers at the begin and the end of a table in the document.
 const BEGIN: &str = "<!-- generated from ";
 const END: &str = "<!-- end of what is generated -->\n";
 const HOW: &str = "CDCR_GENERATE=1 cargo test -p cdcr-bench results";
 
-fn rows(document: &Value, key: &str) -> Vec<Value> {
-    document[key].as_array().expect("rows").clone()
-}
-
-/// A part of a table of `report.json`: rows with one of these words in a column, and some columns.
+/// A part of a table of a result: rows with one of these words in a column, and some columns.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Choice {
-    benchmark: String,
+    /// One of those in a report of `all`.
+    benchmark: Option<String>,
     /// Begin of its title.
     title: String,
+    #[serde(default)]
+    hides_title: bool,
     #[serde(default)]
     rows: BTreeMap<String, Vec<String>>,
     /// All if empty. The first of several columns with the same head.
@@ -33,9 +34,12 @@ struct Choice {
 }
 
 impl Choice {
-    fn of(&self, report: &Value) -> ShownTable {
-        let tables = report["tables"][&self.benchmark].clone();
-        let tables: Vec<ShownTable> = serde_json::from_value(tables).expect("tables");
+    fn of(&self, result: &Value) -> ShownTable {
+        let tables = match &self.benchmark {
+            Some(name) => &result["tables"][name],
+            None => &result["tables"],
+        };
+        let tables: Vec<ShownTable> = serde_json::from_value(tables.clone()).expect("tables");
         let mut tables = tables.into_iter();
         let table = tables.find(|table| table.title.starts_with(&self.title));
         let mut table = table.unwrap_or_else(|| panic!("no table {:?}", self.title));
@@ -58,24 +62,8 @@ impl Choice {
             heads: kept(&table.heads),
             words: columns.iter().map(|at| table.words[*at]).collect(),
             lines: table.lines.iter().map(|line| kept(line)).collect(),
-            title: table.title,
+            title: [table.title, String::new()][usize::from(self.hides_title)].clone(),
         }
-    }
-}
-
-/// The table of a result, or the chosen one of several, in a document.
-fn table(file: &str, chosen: Option<&str>, document: &Value) -> ShownTable {
-    match (file, chosen) {
-        ("results/report.json", Some(chosen)) => {
-            let choice: Choice = serde_json::from_str(chosen).expect("a choice");
-            choice.of(document)
-        }
-        ("results/robustness.json", chosen) => {
-            let [all, parts] = robustness::shown(&rows(document, "scenarios"));
-            if chosen.is_some() { parts } else { all }
-        }
-        ("results/tuning.json", Some(knob)) => robustness::knob(knob, &rows(document, "knobs")),
-        other => panic!("no table is made from {other:?}"),
     }
 }
 
@@ -109,8 +97,8 @@ fn generates() -> bool {
 /// The files below `docs` that are generated from a committed result are up to date.
 #[test]
 fn documents_hold_what_is_made_from_the_json_beside_them() {
-    let picture = rows(&result("results/report.json")["rate"], "default");
-    let picture = rate::picture(&picture).expect("a picture");
+    let report = result("results/report.json");
+    let picture = rate::picture(list(&report["rate"], "default")).expect("a picture");
     for (name, contained) in [
         ("results.md", "<!-- generated from results/report.json"),
         ("robustness.md", "| 30 µm of noise |"),
@@ -137,12 +125,12 @@ fn with_tables(text: &str) -> String {
     let mut parts = text.split(BEGIN);
     let mut made = parts.next().unwrap_or_default().to_owned();
     for part in parts {
-        let (file, rest) = part.split_once(" -->\n").expect("a file and its table");
+        let (begin, rest) = part.split_once(" -->\n").expect("a file and its table");
         let (_, rest) = rest.split_once(END).expect("an end of the table");
-        let chosen = file.split_once(' ');
-        let (name, knob) = chosen.map_or((file, None), |(name, knob)| (name, Some(knob)));
-        let table = table(name, knob, &result(name)).markdown();
-        made += &[BEGIN, file, " -->\n", table.trim_start(), END, rest].concat();
+        let (file, choice) = begin.split_once(' ').expect("a file and a choice");
+        let choice: Choice = serde_json::from_str(choice).expect("a choice");
+        let table = choice.of(&result(file)).markdown();
+        made += &[BEGIN, begin, " -->\n", table.trim_start(), END, rest].concat();
     }
     made
 }

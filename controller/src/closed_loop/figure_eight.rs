@@ -3,6 +3,7 @@
 
 use nalgebra::Vector3;
 
+use super::scene::spiral_shape;
 use super::{ClosedLoop, Driven};
 use crate::nmpc::{Nmpc, NmpcSettings, RateWeight, SettingsError};
 use crate::plant::Flaws;
@@ -97,7 +98,7 @@ impl FigureEight {
             TipPath::Eight => return Self::reference(time_s),
             TipPath::ThroughStraight(bend_rad) => bend_rad,
             TipPath::Spiral { lower_m } => {
-                let tip_m = self.robot.tip_position(&spiral_shape(time_s));
+                let tip_m = self.robot.tip_position(&spiral_shape(3, time_s));
                 return ReferenceSample::at(tip_m - lower_m * Vector3::z());
             }
         };
@@ -149,7 +150,7 @@ impl FigureEight {
     pub fn spiral(lower_m: f64) -> Result<Self, FigureEightError> {
         let robot = Robot::new(&RobotParameters::paper(3))?;
         Ok(Self {
-            start: spiral_shape(0.0),
+            start: spiral_shape(3, 0.0),
             robot,
             settings: None,
             path: TipPath::Spiral { lower_m },
@@ -251,12 +252,6 @@ impl FigureEight {
         }
         Ok(rest)
     }
-}
-
-/// The paper's spiral: the last section bends by θ = 2t/15 towards φ = t, from t = 5°; the others are straight.
-fn spiral_shape(time_s: f64) -> Configuration {
-    let t = 5_f64.to_radians() + time_s;
-    Configuration::from_bend_angles(&[[0.0; 2], [0.0; 2], [2.0 * t / 15.0, t]])
 }
 
 /// A figure eight: once along ±1, twice across ±1/2.

@@ -10,6 +10,7 @@
 
 mod driven;
 mod figure_eight;
+mod scene;
 
 use nalgebra::Vector3;
 
@@ -21,6 +22,7 @@ use crate::safety::{Lag, LimitsHit, SafeCommand, Situation, safe_command};
 use driven::DrivenRobot;
 pub use driven::{Driven, Part, Sensor};
 pub use figure_eight::{FigureEight, FigureEightError, FigureEightRest, FigureEightRun};
+pub use scene::{Scene, SceneError, SceneLoop};
 
 /// The robot, its obstacles and reference, and the safety checks of its commands.
 ///
@@ -240,6 +242,16 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             comes_to_rest: false,
         };
         self.command = safe_command(&situation, desired_rates);
+        self.follow_command();
+    }
+
+    /// Moves the robot at `rates` for a period, without any check: what a plan alone does.
+    pub fn advance_unchecked(&mut self, rates: &BendRates) {
+        self.command.rates = *rates;
+        self.follow_command();
+    }
+
+    fn follow_command(&mut self) {
         self.configuration = match &mut self.driven {
             None => self
                 .configuration

@@ -10,6 +10,7 @@ mod clearance;
 mod closed_loop;
 mod examples;
 mod exciting_path;
+mod hard_scenes;
 mod jacobian;
 mod kinematics_golden;
 mod lag;

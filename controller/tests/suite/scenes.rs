@@ -1,5 +1,6 @@
 //! Closed loops with orientation, obstacles and limits on the ideal robot.
 
+use cdcr_controller::closed_loop::Scene;
 use cdcr_controller::nmpc::{
     Constraint, Coordinates, Nmpc, NmpcSettings, SolveInput, SolveReport, SolveStatus, SolverKind,
 };
@@ -188,17 +189,9 @@ fn a_full_orientation_is_reached_and_kept() {
     }
 }
 
-/// The paper's third simulation: one section, a circular reference, an obstacle on it.
-fn circle(t: f64) -> ReferenceSample {
-    let (sin, cos) = t.sin_cos();
-    let position_m = Vector3::new(0.169_86 * cos, 0.169_86 * sin, 0.221_37);
-    inside(position_m)
-}
-
+/// The robot of the paper's third simulation, whose body has no radius.
 fn line_robot() -> Robot {
-    let mut parameters = RobotParameters::paper(1);
-    parameters.sections[0].body_radius_m = 0.0;
-    Robot::new(&parameters).unwrap()
+    Scene::circle().unwrap().robot
 }
 
 fn on_the_circle(t: f64) -> Configuration {
@@ -207,9 +200,8 @@ fn on_the_circle(t: f64) -> Configuration {
 
 #[test]
 fn the_body_keeps_its_distance_from_an_obstacle_on_the_reference() {
-    let robot = line_robot();
-    let centre_m = circle(std::f64::consts::FRAC_PI_2).position_m;
-    let obstacle = Obstacle::new(Shape::Sphere { centre_m }, 0.0, Vector3::zeros()).unwrap();
+    let scene = Scene::circle().unwrap();
+    let (robot, circle, obstacle) = (scene.robot, scene.reference_at, scene.obstacles[0]);
     for coordinates in COORDINATES {
         for &safe_distance_m in crate::cases(1, &[0.02, 0.01, 0.04]) {
             let settings = NmpcSettings {

@@ -9,6 +9,7 @@
     reason = "a library of this workspace: a comment that repeats a name helps nobody"
 )]
 
+mod folder;
 mod place;
 
 use std::fs::{self, File};
@@ -21,12 +22,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use cdcr_scratch::Scratch;
-use rustix::fs::{Access, access};
 use rustix::process::{
     Pid, Signal, WaitId, WaitIdOptions, kill_process, kill_process_group, waitid,
 };
 
-pub use place::{PREFIX, Place, ROOT, in_public_memory};
+pub use folder::{check_writable, fill_folder, output_folder};
+pub use place::{PREFIX, Place, ROOT, daemon_in, in_public_memory};
 
 /// Interval between checks whether a program has ended.
 const LOOK: Duration = Duration::from_millis(20);
@@ -139,8 +140,8 @@ impl Process {
             errors => errors,
         };
         match words.trim() {
-            "" => "; it said nothing".to_owned(),
-            words => format!("; it said:\n{words}"),
+            "" => "; its standard error is empty".to_owned(),
+            words => format!("; its standard error:\n{words}"),
         }
     }
 
@@ -203,20 +204,6 @@ pub fn folder() -> Result<Scratch> {
         .context("a folder for temporary files: set TMPDIR to one that can be written")
 }
 
-/// Creates the folder for results, if it does not exist, and checks that files can be created in it: before a
-/// long run, which would otherwise be lost.
-pub fn output_folder(folder: &Path) -> Result<()> {
-    let name = folder.display();
-    fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {name}"))?;
-    check_writable(folder)
-}
-
-/// Fails when this user cannot create files in the folder.
-pub fn check_writable(folder: &Path) -> Result<()> {
-    access(folder, Access::WRITE_OK | Access::EXEC_OK)
-        .with_context(|| format!("cannot write into {}", folder.display()))
-}
-
 /// Path of a program of this project: in the folder of the current program or, for a test, in the folder
 /// above.
 pub fn program(name: &str) -> Result<PathBuf> {
@@ -272,9 +259,9 @@ mod tests {
     }
 
     fn until_it_speaks(process: &Process) {
-        let said = process.folder().join(STDOUT);
+        let reported = process.folder().join(STDOUT);
         let deadline = Instant::now() + TIMEOUT;
-        while fs::read_to_string(&said).unwrap().is_empty() {
+        while fs::read_to_string(&reported).unwrap().is_empty() {
             assert!(Instant::now() < deadline, "it says nothing");
             thread::sleep(LOOK);
         }

@@ -96,6 +96,17 @@ pub fn in_public_memory(prefix: &str) -> Vec<PathBuf> {
     paths.filter(is_meant).collect()
 }
 
+/// The process of a daemon in a place with this prefix. Zombies do not count.
+pub fn daemon_in(prefix: &str) -> Option<u32> {
+    let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
+    let mut ids = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    ids.find(|id| {
+        let line = fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
+        let line = String::from_utf8_lossy(&line);
+        line.contains("cdcrd\0run\0") && line.contains(prefix)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

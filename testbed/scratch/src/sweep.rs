@@ -233,9 +233,9 @@ mod tests {
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
-        let said = BufReader::new(victim.stdout.take().unwrap()).lines();
-        let said = said.map_while(Result::ok);
-        let has = said.filter_map(|line| line.strip_prefix("has ").map(PathBuf::from));
+        let reported = BufReader::new(victim.stdout.take().unwrap()).lines();
+        let reported = reported.map_while(Result::ok);
+        let has = reported.filter_map(|line| line.strip_prefix("has ").map(PathBuf::from));
         let folders: Vec<PathBuf> = has.take(3).collect();
         assert_eq!(folders.len(), 3, "{folders:?}");
 

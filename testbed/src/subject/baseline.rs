@@ -38,7 +38,11 @@ impl Baseline {
                 .wait(2 * self.duration + TIMEOUT, interrupt::check)?,
         )?;
         let words = || self.process.stderr_tail();
-        ensure!(!cycles.is_empty(), "cdcrd bare told of no cycle{}", words());
+        ensure!(
+            !cycles.is_empty(),
+            "cdcrd bare reported no cycle{}",
+            words()
+        );
         Ok(cycles)
     }
 }
@@ -52,7 +56,7 @@ fn command(launch: &Launch, duration: Duration) -> Result<Command> {
 
 /// The columns used from a line of `cdcrd bare --format csv`.
 #[derive(Deserialize)]
-struct Row {
+struct BaselineRow {
     due_ns: u64,
     start_ns: u64,
     handed_over_ns: u64,
@@ -71,7 +75,7 @@ fn cycles(csv: &str) -> Result<Vec<Cycle>> {
         .context("cdcrd bare --format csv: is cdcrd of the same version as this program?")
 }
 
-fn cycle(row: &Row) -> Result<Cycle> {
+fn cycle(row: &BaselineRow) -> Result<Cycle> {
     Ok(Cycle {
         due_ns: row.due_ns,
         wake_ns: row.start_ns.saturating_sub(row.due_ns),

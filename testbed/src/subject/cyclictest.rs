@@ -10,6 +10,8 @@ use rustix::thread::{sched_getaffinity, sched_setaffinity};
 
 use cdcr_process::{Process, on_path, that_ends_with_us};
 
+use crate::quantiles::histogram;
+
 /// Allowance for start, end and a slow machine, beyond the duration.
 const TIMEOUT: Duration = Duration::from_secs(30);
 /// Extra run time. The main thread of cyclictest prints, then checks for the end, so cycles in between are
@@ -117,11 +119,11 @@ impl Running {
         let (made, asked) = (each_ns.len(), self.cycles);
         ensure!(
             made as u64 >= asked,
-            "cyclictest told of {made} cycles where {asked} were asked for{}",
+            "cyclictest reported {made} cycles of the {asked} requested{}",
             self.process.stderr_tail()
         );
         each_ns.truncate(asked as usize);
-        Latencies::of(each_ns, self.period)
+        Ok(Latencies::of(each_ns, self.period))
     }
 }
 
@@ -145,13 +147,13 @@ pub struct Latencies {
 }
 
 impl Latencies {
-    fn of(each_ns: Vec<u64>, period: Duration) -> Result<Self> {
-        let mut histogram_ns = Histogram::new_with_bounds(1, 60_000_000_000, 3)?;
+    fn of(each_ns: Vec<u64>, period: Duration) -> Self {
+        let mut histogram_ns = histogram();
         let period_ns = (period.as_nanos() as u64).max(1);
         for latency_ns in &each_ns {
             histogram_ns.saturating_record(*latency_ns);
         }
-        Ok(Self {
+        Self {
             histogram_ns,
             cycles: each_ns.len() as u64,
             // Number of whole periods by which a wake-up missed its release.
@@ -161,7 +163,7 @@ impl Latencies {
                 .sum(),
             each_ns,
             period,
-        })
+        }
     }
 
     /// Removes the warm-up cycles at the beginning, which cyclictest cannot exclude itself.
@@ -171,7 +173,10 @@ impl Latencies {
             "a warm-up of {cycles} cycles leaves none of the {} cycles of cyclictest",
             self.cycles
         );
-        Self::of(self.each_ns.split_off(cycles as usize), self.period)
+        Ok(Self::of(
+            self.each_ns.split_off(cycles as usize),
+            self.period,
+        ))
     }
 
     /// Number of cycles with a larger latency.
@@ -220,7 +225,7 @@ mod tests {
     use crate::system::thread::may_be_realtime;
 
     const PERIOD: Duration = Duration::from_millis(1);
-    const SAID: &str = "Using 1 cpus.\nMax CPUs = 2\nThread 0 using cpu 1.\nThread 0 Interval: 1500\n\
+    const REPORTED: &str = "Using 1 cpus.\nMax CPUs = 2\nThread 0 using cpu 1.\nThread 0 Interval: 1500\n\
                         # /dev/cpu_dma_latency set to 0us\n\
                         \u{20}      0:       0:   85045\n       0:       1: 3081684\n\
                         \u{20}      0:       2:   36681\n";
@@ -239,8 +244,8 @@ mod tests {
 
     #[test]
     fn every_cycle_is_read_and_the_periods_that_it_slept_through_are_counted() {
-        assert_eq!(latencies_in(SAID).unwrap(), [85_045, 3_081_684, 36_681]);
-        let all = Latencies::of(latencies_in(SAID).unwrap(), PERIOD).unwrap();
+        assert_eq!(latencies_in(REPORTED).unwrap(), [85_045, 3_081_684, 36_681]);
+        let all = Latencies::of(latencies_in(REPORTED).unwrap(), PERIOD);
         assert_eq!((all.cycles, all.skipped_periods), (3, 3));
         assert_eq!((all.histogram_ns.len(), all.later_than(85_045)), (3, 1));
         let warm = all.clone().without_first(2).unwrap();

@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_whole_is_not_judged() {
+    fn a_stop_with_a_missing_record_is_not_evaluated() {
         type Change = fn(&mut Vec<Telemetry>);
         // A missing record, a robot that hardly moved, or what it did before is unknown, or it does not rest.
         let missing: [Change; 4] = [

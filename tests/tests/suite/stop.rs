@@ -21,6 +21,7 @@ use cdcr_client::{
 };
 use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason, RequestKind, timing};
 use cdcr_shared_types::{Response, Telemetry};
+use cdcr_testbed::quantiles::{histogram, quantile_us};
 use cdcr_testbed::subject::asker::Asker;
 use cdcr_testbed::subject::phases::Phases;
 use cdcr_testbed::subject::stop::Stop;
@@ -295,10 +296,10 @@ fn report(link: &str, taken: &[Taken]) {
     println!("{link}: {} stops at speed, in ms", taken.len());
     println!("{:<44} {:>8} {:>8} {:>8}", "", "p50", "p99", "max");
     let row = |name: &str, value: fn(&Taken) -> u64| {
-        let mut values: Vec<_> = taken.iter().map(value).collect();
-        values.sort_unstable();
-        let at =
-            |part: f64| values[((values.len() - 1) as f64 * part).ceil() as usize] as f64 * 1e-6;
+        let mut times_ns = histogram();
+        let values = taken.iter().map(value);
+        values.for_each(|time_ns| times_ns.saturating_record(time_ns));
+        let at = |part: f64| 1e-3 * quantile_us(&times_ns, part);
         println!(
             "{name:<44} {:>8.3} {:>8.3} {:>8.3}",
             at(0.5),

@@ -1,9 +1,10 @@
 //! A robot that follows a reference with a long horizon, and the result.
 
+use cdcr_controller::closed_loop::Scene;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::ReferenceSample;
-use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot};
 use nalgebra::Vector3;
 
 use super::{PERIOD_S, STEPS};
@@ -13,29 +14,9 @@ pub(super) type Curve = fn(&Robot, f64) -> ReferenceSample;
 
 /// Eq. 8 for the last of three sections of the paper's robot.
 pub(super) fn spiral(robot: &Robot, time_s: f64) -> ReferenceSample {
-    let lengths_m: Vec<f64> = robot.sections().iter().map(|s| s.length_m).collect();
     let t = 5.0_f64.to_radians() + time_s;
-    let (sin, cos) = t.sin_cos();
-    let (sin_part, cos_part) = (t / 15.0).sin_cos();
-    let h = 15.0 * lengths_m[2] * sin_part / t;
-    inside(Vector3::new(
-        h * sin_part * cos,
-        h * sin_part * sin,
-        lengths_m[0] + lengths_m[1] + h * cos_part,
-    ))
-}
-
-/// Sixteen balls around the base of the last section, 16 mm beyond the safe distance.
-fn balls(robot: &Robot, safe_distance_m: f64) -> Vec<Obstacle> {
-    let last = robot.sections()[2];
-    let apart_m = last.body_radius_m + safe_distance_m + 0.016 + 0.01;
-    let ball = |i: usize| {
-        let (sin, cos) = (2.4 * i as f64).sin_cos();
-        let up_m = (2.05 + 0.2 * i as f64 / 16.0) * last.length_m;
-        let centre_m = Vector3::new(apart_m * cos, apart_m * sin, up_m);
-        Obstacle::new(Shape::Sphere { centre_m }, 0.01, Vector3::zeros()).unwrap()
-    };
-    (0..16).map(ball).collect()
+    let bent = Configuration::from_bend_angles(&[[0.0; 2], [0.0; 2], [2.0 * t / 15.0, t]]);
+    inside(robot.tip_position(&bent))
 }
 
 /// A robot that executes the plan exactly, without a guard.
@@ -53,22 +34,18 @@ pub(super) struct Course {
 impl Course {
     /// A second of the paper's spiral at a multiple of its speed, with or without balls.
     pub(super) fn spiral(solver: SolverKind, speed: f64, among_balls: bool) -> Self {
-        let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
         let settings = NmpcSettings {
             solver,
             horizon_steps: STEPS,
             ..NmpcSettings::default()
         };
-        let bend = 2.0 * 5.0_f64.to_radians() / 15.0;
-        let obstacles = balls(&robot, settings.safe_distance_m);
+        let count = if among_balls { 16 } else { 0 };
+        let scene = Scene::spiral(3).unwrap();
+        let scene = scene.crowded(count, settings.safe_distance_m, 0).unwrap();
         Self {
-            obstacles: if among_balls { obstacles } else { Vec::new() },
-            at: Configuration::from_bend_angles(&[
-                [0.0; 2],
-                [0.0; 2],
-                [bend, 5.0_f64.to_radians()],
-            ]),
-            robot,
+            obstacles: scene.obstacles,
+            at: scene.start,
+            robot: scene.robot,
             settings,
             reference: spiral,
             speed,
@@ -78,13 +55,9 @@ impl Course {
 
     /// The same with an upright capsule instead of each `every`-th ball.
     pub(super) fn with_capsules(mut self, every: usize) -> Self {
-        for obstacle in self.obstacles.iter_mut().skip(every - 1).step_by(every) {
-            if let &Shape::Sphere { centre_m: start_m } = obstacle.shape() {
-                let end_m = start_m + Vector3::new(0.0, 0.0, 0.03);
-                let capsule = Shape::Capsule { start_m, end_m };
-                *obstacle = Obstacle::new(capsule, 0.01, Vector3::zeros()).unwrap();
-            }
-        }
+        let scene = Scene::spiral(3).unwrap();
+        let (count, safe_m) = (self.obstacles.len(), self.settings.safe_distance_m);
+        self.obstacles = scene.crowded(count, safe_m, every).unwrap().obstacles;
         self
     }
 

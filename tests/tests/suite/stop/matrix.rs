@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::{Connection, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Obstacle, Telemetry};
+use cdcr_testbed::quantiles::{histogram, quantile_us};
 use cdcr_tests::load::{Done, flood_obstacles, flood_references};
 use cdcr_tests::{
     Daemon, EndWhenDropped, Place, ask_for, asked, assert_says, ball, oversleep_until, text,
@@ -62,7 +63,7 @@ impl Timed {
 }
 
 /// A row of the table: a condition, and the durations of its stops.
-struct Row {
+struct StopRow {
     beside: Beside,
     has_floods: bool,
     /// From the request to the answer.
@@ -72,7 +73,7 @@ struct Row {
     stopped: Vec<Duration>,
 }
 
-impl Row {
+impl StopRow {
     /// Stops a daemon in `mode`, and makes it hold again if possible. Returns false if the stop was late
     /// without an observed disturbance, `None` if the system does not permit the condition.
     fn stop_in(&mut self, stage: &mut Stage<'_>, mode: Mode) -> Option<bool> {
@@ -121,7 +122,7 @@ impl Row {
         let note = if timed.is_undisturbed {
             ""
         } else {
-            "  (disturbed: not judged)"
+            "  (disturbed: not evaluated)"
         };
         println!(
             "  {:<10}{:>7.1?} to the answer, {stopped:.1?} to the first command{note}",
@@ -333,22 +334,23 @@ fn run_with<T: Fn()>(beside: Beside, floods: &[bool], test: &T) {
     }
     for &has_floods in floods {
         println!("a stop beside {beside:?}, floods: {has_floods}");
-        let mut row = Row {
+        let mut row = StopRow {
             beside,
             has_floods,
             answers: Vec::new(),
             stopped: Vec::new(),
         };
         (0..rounds()).for_each(|_| row.stop_in_all(test));
-        let of = |times: &mut Vec<Duration>| {
-            times.sort_unstable();
-            let ms =
-                |time: Option<&Duration>| time.map_or(f64::NAN, |time| 1e3 * time.as_secs_f64());
-            let (median, largest) = (ms(times.get(times.len() / 2)), ms(times.last()));
+        let of = |times: &[Duration]| {
+            let mut times_ns = histogram();
+            for time in times {
+                times_ns.saturating_record(time.as_nanos() as u64);
+            }
+            let [median, largest] = [0.5, 1.0].map(|part| 1e-3 * quantile_us(&times_ns, part));
             format!("{} | {median:.0} | {largest:.0}", times.len())
         };
         let floods = if has_floods { "yes" } else { "no" };
-        let (answers, stopped) = (of(&mut row.answers), of(&mut row.stopped));
+        let (answers, stopped) = (of(&row.answers), of(&row.stopped));
         println!("| {beside:?} | {floods} | {answers} | {stopped} |");
     }
 }

@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::path::PathBuf;
 
 use cdcr_client::Connection;
-use cdcr_process::{PREFIX, ROOT};
+use cdcr_process::{PREFIX, ROOT, daemon_in};
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{
@@ -162,7 +162,6 @@ fn the_demo_writes_telemetry_and_pictures() {
 struct RunningDemo {
     program: Program,
     place: Place,
-    daemon: Option<u32>,
 }
 
 impl RunningDemo {
@@ -177,7 +176,6 @@ impl RunningDemo {
         Self {
             program: Program::start(&mut command),
             place,
-            daemon: None,
         }
     }
 
@@ -194,25 +192,9 @@ impl RunningDemo {
     }
 
     /// Waits for its daemon, and returns the daemon's process.
-    fn wait_daemon(&mut self) -> u32 {
-        let id = self.program.id();
-        let children = || fs::read_to_string(format!("/proc/{id}/task/{id}/children"));
-        let mut daemon = None;
-        wait_until("the demo's daemon", || {
-            let children = children().unwrap();
-            let ids = children.split_whitespace().map(|id| id.parse().unwrap());
-            // Before it executes cdcrd, the child is a copy of cdcrctl.
-            daemon = ids.into_iter().find(|&id| self.is_its_daemon(id));
-            daemon.is_some()
-        });
-        self.daemon = daemon;
-        daemon.unwrap()
-    }
-
-    /// Whether this process is its daemon and has not ended.
-    fn is_its_daemon(&self, id: u32) -> bool {
-        let line = fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
-        String::from_utf8_lossy(&line).contains(&self.prefix())
+    fn wait_daemon(&self) -> u32 {
+        wait_until("the demo's daemon", || daemon_in(&self.prefix()).is_some());
+        daemon_in(&self.prefix()).unwrap()
     }
 
     fn wait_tracking(&self) {
@@ -231,7 +213,7 @@ impl RunningDemo {
 
 impl Drop for RunningDemo {
     fn drop(&mut self) {
-        if let Some(daemon) = self.daemon.filter(|&id| self.is_its_daemon(id)) {
+        if let Some(daemon) = daemon_in(&self.prefix()) {
             let daemon = Pid::from_raw(daemon.cast_signed()).unwrap();
             let _ = kill_process(daemon, Signal::KILL);
         }
@@ -249,14 +231,15 @@ fn an_interrupted_demo_leaves_nothing() {
         (Signal::TERM, true),
     ] {
         let mut demo = RunningDemo::start();
-        let daemon = demo.wait_daemon();
+        demo.wait_daemon();
         if is_tracking {
             demo.wait_tracking();
         }
         demo.program.signal(signal);
         let output = demo.program.output();
         assert_eq!(output.status.code(), Some(130), "{}", text(&output));
-        assert!(!demo.is_its_daemon(daemon), "its daemon still runs");
+        let daemon = daemon_in(&demo.prefix());
+        assert_eq!(daemon, None, "its daemon still runs");
         assert_eq!(in_public_memory(&demo.prefix()), Vec::<PathBuf>::new());
         assert_eq!(demo.temporary(), Vec::<String>::new());
     }
@@ -273,7 +256,7 @@ fn the_daemon_of_a_killed_demo_ends() {
     let stat = || fs::read_to_string(format!("/proc/{daemon}/stat")).unwrap_or_default();
     let has_ended = |stat: &str| stat.is_empty() || stat.contains(") Z ");
     wait_until("the end of its daemon", || {
-        !demo.is_its_daemon(daemon) && has_ended(&stat())
+        daemon_in(&demo.prefix()).is_none() && has_ended(&stat())
     });
     let left = in_public_memory(&demo.prefix());
     for root in left.iter().filter(|path| path.is_dir()) {

@@ -20,7 +20,7 @@ use std::time::Duration;
 
 use anyhow::anyhow;
 use cdcr_client::{Connection, FeedEnd, FeedEvent, FeedOptions, PAPER_SECTION_M, Spiral};
-use cdcr_process::{Place, output_folder};
+use cdcr_process::{Place, fill_folder, output_folder};
 
 use crate::Done;
 use crate::args::{DemoOptions, Format};
@@ -65,7 +65,9 @@ pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
         )?,
     }
     if let Some(out) = &options.out {
-        write_files(out, &run, &spiral, &backbone, &report)?;
+        fill_folder(out, |fresh| {
+            write_files(fresh, &run, &spiral, &backbone, &report)
+        })?;
     }
     Ok(Done::Good)
 }

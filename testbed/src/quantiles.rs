@@ -1,4 +1,4 @@
-//! Five quantiles of a latency distribution, and the histogram that they are read from.
+//! Five quantiles of a latency distribution, and the histogram that they are read from: for measurements and tests.
 
 use cdcr_shared_types::LatencySummary;
 use hdrhistogram::Histogram;
