@@ -205,3 +205,60 @@ fn who_floods_references_does_not_keep_out_who_holds_the_lease() {
     }
     drop(lease);
 }
+
+/// A point carries the time at which the tip shall reach it. While points are ahead of the window, it does not matter
+/// when their chunks arrive.
+#[test]
+fn the_jitter_of_a_client_does_not_reach_the_cycle() {
+    const STEPS: u64 = 60;
+    let mut rigs = [(); 2].map(|()| Rig::new("[reference]\nlease_ms = 2000.0\n"));
+    let leases = rigs.each_mut().map(|rig| {
+        rig.gather();
+        let lease = rig.ask(1, RequestKind::AcquireLease);
+        rig.gather();
+        lease
+    });
+    let begin_ns = rigs[0].now_ns() + 1000 * MS;
+    // A chunk has three points 100 ms apart. Its delay \[ms\], for a punctual and for another client.
+    let delays_ms = [[0; 8], [0, 400, 115, 350, 60, 210, 395, 110]];
+    let mut moves = false;
+    for now_ms in (0..3000).step_by(5) {
+        let windows = [0, 1].map(|client| {
+            let rig = &mut rigs[client];
+            for (number, delay_ms) in (0..).zip(delays_ms[client]) {
+                if 300 * number + delay_ms == now_ms {
+                    send_chunk(rig, number, begin_ns);
+                }
+            }
+            let cycle = rig.next_cycle;
+            let inputs = rig.gather();
+            let steps = cycle..cycle + STEPS;
+            steps
+                .map(|cycle| inputs.window.get(cycle))
+                .collect::<Vec<_>>()
+        });
+        assert_eq!(windows[0], windows[1], "{now_ms} ms");
+        moves |= windows[0][0].position_m != windows[0][1].position_m;
+    }
+    assert!(moves);
+    drop(leases);
+}
+
+/// Three points on a line; the first chunk begins a reference, the others continue it.
+fn send_chunk(rig: &Rig, number: u64, begin_ns: u64) {
+    let mode = [ChunkMode::Append, ChunkMode::Replace][usize::from(number == 0)];
+    let mut chunk = ReferenceChunk {
+        header: rig.header(1),
+        mode: mode.code(),
+        count: 3,
+        ..ReferenceChunk::default()
+    };
+    for (point, index) in chunk.points.iter_mut().zip(3 * number..3 * number + 3) {
+        *point = ReferencePoint {
+            time_ns: begin_ns + 100 * index * MS,
+            position_m: [0.001 * index as f64, 0.0, 0.89],
+            ..ReferencePoint::default()
+        };
+    }
+    rig.references.send_copy(chunk).unwrap();
+}

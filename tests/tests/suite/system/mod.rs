@@ -19,6 +19,7 @@ mod motions;
 mod obstacles;
 mod play;
 mod program;
+mod readme;
 mod reconnect;
 mod recording;
 mod replay;

@@ -1,0 +1,85 @@
+//! What the README promises and no other test shows: the size of the client library, and the environments of the demo.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::process::Command;
+
+use cdcr_tests::{Place, Program, assert_says, binary, text};
+
+use crate::own_mounts::{has_own_mounts, mount, name_of};
+
+fn readme() -> String {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../README.md");
+    std::fs::read_to_string(file).unwrap()
+}
+
+/// Names of the crates of a build on this system.
+fn crates(line: &str) -> BTreeSet<String> {
+    let mut cargo = Command::new(env!("CARGO"));
+    cargo.args("tree --offline --locked --edges normal,build --prefix none --package".split(' '));
+    let output = cargo.args(line.split(' ')).output().unwrap();
+    assert!(output.status.success(), "{}", text(&output));
+    let printed = String::from_utf8(output.stdout).unwrap();
+    let crates = printed.lines().filter(|line| !line.ends_with("(*)"));
+    crates
+        .map(|line| line.split(" (").next().unwrap().to_owned())
+        .collect()
+}
+
+#[test]
+fn the_client_library_has_as_many_crates_as_promised() {
+    let all = crates("cdcr-client --no-default-features");
+    let words = format!("the library consists of {} crates", all.len());
+    let readme = readme().replace('\n', " ");
+    assert!(readme.contains(&words), "{words}: {all:#?}");
+    let own = all.difference(&crates("iceoryx2")).count();
+    assert_eq!(own, 4, "{all:#?}");
+}
+
+/// Runs a short demo below `wrapper`, with this folder for temporary files.
+fn demo(place: &Place, wrapper: &str, temporary: &Path) -> Program {
+    let mut words = wrapper.split(' ');
+    let mut command = place.command_of(Path::new(words.next().unwrap()));
+    command.args(words).arg(binary("cdcrctl"));
+    let demo = "demo --duration 300ms --format json".split(' ');
+    Program::start(command.args(demo).env("TMPDIR", temporary))
+}
+
+/// The rows of the table that need no other user and no container.
+#[test]
+fn the_demo_runs_in_a_poor_environment_or_reports_what_it_lacks() {
+    let test = &name_of(&the_demo_runs_in_a_poor_environment_or_reports_what_it_lacks);
+    if !has_own_mounts(test) {
+        return;
+    }
+    let place = Place::new();
+    let (folder, missing) = (place.folder(), place.folder().join("missing"));
+    for wrapper in ["env -u HOME", "taskset -c 0", "prlimit --nofile=64:64"] {
+        assert_says(
+            &demo(&place, wrapper, folder).output(),
+            0,
+            &["mean_error_mm"],
+        );
+    }
+    for files in [16, 32, 48] {
+        let mut found = demo(&place, &format!("prlimit --nofile={files}:{files}"), folder);
+        let words = [&format!("only {files} files"), "needs 64", "ulimit -n"];
+        assert_says(&found.output(), 1, &words);
+    }
+    let words = ["set TMPDIR to one that can be written"];
+    assert_says(&demo(&place, "env", &missing).output(), 1, &words);
+    // Docker's default; then too little.
+    for (megabytes, status, words) in [
+        (64, 0, &["mean_error_mm"][..]),
+        (7, 0, &["mean_error_mm"]),
+        (5, 1, &["MB are needed", "MB are free", "remount,size="]),
+    ] {
+        if !mount(&format!(
+            "mount -t tmpfs -o size={megabytes}m tmpfs /dev/shm"
+        )) {
+            return;
+        }
+        assert_says(&demo(&place, "env", folder).output(), status, words);
+        assert!(mount("umount /dev/shm"));
+    }
+}
