@@ -1,5 +1,7 @@
 //! A connection to a daemon: received messages and requests.
 
+mod live;
+
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -24,7 +26,6 @@ use crate::driver::{DriverPort, interface_of};
 use crate::errors::{Class, Failure};
 use crate::feed::Feed;
 use crate::feed_stream::FeedStream;
-use crate::live::Live;
 use crate::mapping::pairs;
 use crate::numbers::{count, seconds, until, within};
 use crate::obstacle::{Obstacle, check_count};
@@ -33,6 +34,8 @@ use crate::settings::{Settings, change, settings};
 use crate::trajectory::{Points, Source, Trajectory};
 use crate::wire::Records;
 use crate::worker::{Worker, once, refuse_forked_process, sleep_until};
+
+pub(crate) use live::Live;
 
 /// Range of the numbers of obstacles.
 const NUMBERS: RangeInclusive<u32> = 0..=u32::MAX;

@@ -23,7 +23,6 @@ mod driver;
 mod errors;
 mod feed;
 mod feed_stream;
-mod live;
 mod mapping;
 mod nmpc;
 mod numbers;
@@ -46,6 +45,8 @@ mod _cdcr {
     const __version__: &str = env!("CARGO_PKG_VERSION");
 
     #[pymodule_export]
+    use super::connection::Live;
+    #[pymodule_export]
     use super::connection::{Connection, connect};
     #[pymodule_export]
     use super::driver::DriverPort;
@@ -53,8 +54,6 @@ mod _cdcr {
     use super::feed::{Feed, FeedReport};
     #[pymodule_export]
     use super::feed_stream::FeedStream;
-    #[pymodule_export]
-    use super::live::Live;
     #[pymodule_export]
     use super::nmpc::{Nmpc, SolveReport};
     #[pymodule_export]

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use cdcr_shared_types::Telemetry;
 use pyo3::prelude::*;
 
-use crate::connection::{Connection, FETCH_EACH};
+use super::{Connection, FETCH_EACH};
 use crate::wire::Records;
 use crate::worker::sleep_until;
 
