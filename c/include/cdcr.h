@@ -122,6 +122,11 @@ int cdcr_status(CdcrConnection *connection, uint64_t timeout_ns, CdcrStatus *sta
  * it, too. */
 int cdcr_request(CdcrConnection *connection, uint32_t kind, uint64_t timeout_ns, CdcrResponse *response);
 
+/* Sends a reset, as cdcr_request does. accept_pose, 1: the measured pose is right although it is far from where the last
+ * command left the robot, for example after a motion by hand; control begins there. 0: such a reset is refused with
+ * CDCR_OUTCOME_POSE_DIFFERS, because encoders may have lost their zero; *response has the section and the difference. */
+int cdcr_reset(CdcrConnection *connection, uint32_t accept_pose, uint64_t timeout_ns, CdcrResponse *response);
+
 /* Sends a part of a reference, 1 to CDCR_CHUNK_POINTS_MAX points, ahead of its time. mode is a CdcrChunkMode, interpolation
  * a CdcrInterpolation. *header becomes the message's header, the argument of cdcr_outcome; header may be NULL. CDCR_OK: the
  * chunk was sent; its outcome is an event of the telemetry. CDCR_ERROR_FULL. */

@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0xafab5699582334bc)
+#define CDCR_LAYOUT UINT64_C(0x8261315eb9f17e02)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -201,7 +201,8 @@ typedef enum CdcrOutcome {
     CDCR_OUTCOME_WAITS = 24, /* the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale */
     CDCR_OUTCOME_TOO_FAR = 25, /* the reference is farther from the tip than motion.approach_distance_m */
     CDCR_OUTCOME_CABLE_MEAN = 26, /* the mean length of a section's cables is not that of its backbone */
-    CDCR_OUTCOME_IN_THE_FUTURE = 27 /* a time is in the future */
+    CDCR_OUTCOME_IN_THE_FUTURE = 27, /* a time is in the future */
+    CDCR_OUTCOME_POSE_DIFFERS = 28 /* the robot is measured far from where its last command left it */
 } CdcrOutcome;
 
 typedef enum CdcrReason {
@@ -225,7 +226,8 @@ typedef enum CdcrReason {
     CDCR_REASON_OBSTACLE_SOURCE_SILENT = 17, /* the source of the obstacles is silent (obstacles.source_timeout_ms) */
     CDCR_REASON_REFERENCE_TOO_FAR = 18, /* the reference was replaced by one farther from the tip than motion.approach_distance_m */
     CDCR_REASON_COMMON_MODE = 19, /* the cables of a section went slack, or one broke (safety.cable_common_m) */
-    CDCR_REASON_STOPPED_BEFORE = 20 /* it was stopped or faulted before the daemon started; use cdcrctl reset */
+    CDCR_REASON_STOPPED_BEFORE = 20, /* it was stopped or faulted before the daemon started; use cdcrctl reset */
+    CDCR_REASON_POSE_DIFFERS = 21 /* the robot is measured far from where its last command left it */
 } CdcrReason;
 
 typedef enum CdcrReferenceState {
@@ -517,20 +519,21 @@ typedef struct CdcrSolverSettings {
 } CdcrSolverSettings;
 CDCR_ASSERT_SIZE(CdcrSolverSettings, 168);
 
-/* cdcr.Request.v1, 200 bytes. */
+/* cdcr.Request.v2, 200 bytes. */
 typedef struct CdcrRequest {
     /* 0: Sender, sequence, time. The sender's identity is what a lease is bound to. */
     CdcrHeader header;
     /* 24: CdcrRequestKind. */
     uint32_t kind;
-    /* 28: Zero. */
-    uint32_t reserved;
+    /* 28: 1: yes, 0: no. With a reset: it is also granted where the robot is measured far from where its last
+     * command left it; control begins where it is measured. 0 with every other request. */
+    uint32_t accepts_pose;
     /* 32: Read by a settings request only. */
     CdcrSolverSettings settings;
 } CdcrRequest;
 CDCR_ASSERT_SIZE(CdcrRequest, 200);
 
-/* cdcr.Response.v1, 64 bytes. */
+/* cdcr.Response.v2, 80 bytes. */
 typedef struct CdcrResponse {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -547,8 +550,15 @@ typedef struct CdcrResponse {
     uint64_t lease_holder;
     /* 56: How long the lease still runs [ns]. */
     uint64_t lease_left_ns;
+    /* 64: With the outcome PoseDiffers: how far this section is measured from where the last command left it [rad].
+     * Otherwise 0. */
+    double pose_difference_rad;
+    /* 72: Section with the largest such difference, 1 next to the base; otherwise 0. */
+    uint32_t pose_section;
+    /* 76: Zero. */
+    uint32_t reserved;
 } CdcrResponse;
-CDCR_ASSERT_SIZE(CdcrResponse, 64);
+CDCR_ASSERT_SIZE(CdcrResponse, 80);
 
 /* cdcr.SectionDescription.v1, 48 bytes. */
 typedef struct CdcrSectionDescription {
@@ -655,7 +665,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v12, 2240 bytes. */
+/* cdcr.Status.v13, 2248 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -702,71 +712,71 @@ typedef struct CdcrStatus {
     uint64_t obstacles_refused;
     /* 240: one for each CdcrOutcome from 0 on. Input messages by their Outcome, index = code; 0 counts the accepted
      * ones. */
-    uint64_t outcomes[28];
-    /* 464: When since_reset began [ns, CLOCK_MONOTONIC]: the start, or the last reset. */
+    uint64_t outcomes[29];
+    /* 472: When since_reset began [ns, CLOCK_MONOTONIC]: the start, or the last reset. */
     uint64_t statistics_since_ns;
-    /* 472: Statistics since the start, or since a client reset them. */
+    /* 480: Statistics since the start, or since a client reset them. */
     CdcrStatistics since_reset;
-    /* 928: Statistics of the last minute, in steps of ten seconds: 50 to 60 s. */
+    /* 936: Statistics of the last minute, in steps of ten seconds: 50 to 60 s. */
     CdcrStatistics last_minute;
-    /* 1384: Holder of the reference lease; 0: nobody. */
+    /* 1392: Holder of the reference lease; 0: nobody. */
     uint64_t lease_holder;
-    /* 1392: Last time of the buffered reference [ns, CLOCK_MONOTONIC]; 0: none. */
+    /* 1400: Last time of the buffered reference [ns, CLOCK_MONOTONIC]; 0: none. */
     uint64_t reference_end_ns;
-    /* 1400: Points of the buffered reference that are still ahead. */
+    /* 1408: Points of the buffered reference that are still ahead. */
     uint32_t reference_points;
-    /* 1404: Obstacles of the newest cycle. */
+    /* 1412: Obstacles of the newest cycle. */
     uint32_t obstacle_count;
-    /* 1408: Smallest clearance in the newest cycle [m]: the smaller of that by the estimate, as in Telemetry, and
+    /* 1416: Smallest clearance in the newest cycle [m]: the smaller of that by the estimate, as in Telemetry, and
      * that by the measured bends. Infinite without obstacles. */
     double clearance_m;
-    /* 1416: How far the tip may be from where the bends place it [m], as in Telemetry: that much thicker the body
+    /* 1424: How far the tip may be from where the bends place it [m], as in Telemetry: that much thicker the body
      * counts in clearance_m. */
     double tip_margin_m;
-    /* 1424: The robot. */
+    /* 1432: The robot. */
     CdcrRobotDescription robot;
-    /* 1744: The solver's settings. */
+    /* 1752: The solver's settings. */
     CdcrSolverSettings settings;
-    /* 1912: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
+    /* 1920: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
      * the configuration sets no cycle.miss_limit. */
     uint64_t misses_tolerated;
-    /* 1920: Position of the tip in the newest cycle [m], as in Telemetry. */
+    /* 1928: Position of the tip in the newest cycle [m], as in Telemetry. */
     double tip_position_m[3];
-    /* 1944: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
+    /* 1952: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
     double position_error_m;
-    /* 1952: Position of the reference in the newest cycle [m]; NaN without one. */
+    /* 1960: Position of the reference in the newest cycle [m]; NaN without one. */
     double reference_position_m[3];
-    /* 1976: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
+    /* 1984: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
      * what the model is off by. NaN without a reference or such a sensor. */
     double measured_error_m;
-    /* 1984: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
+    /* 1992: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
     double following_error_rad[6];
-    /* 2032: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
+    /* 2040: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
     double following_error_m[18];
-    /* 2176: Cycles in which the following error was above the warning. */
+    /* 2184: Cycles in which the following error was above the warning. */
     uint64_t following_warnings;
-    /* 2184: CdcrInterface. */
+    /* 2192: CdcrInterface. */
     uint32_t interface;
-    /* 2188: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
+    /* 2196: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
      * not. */
     uint32_t reset_refused_by;
-    /* 2192: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
+    /* 2200: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
     double safe_distance_min_m;
-    /* 2200: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
+    /* 2208: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
      * watched. */
     uint64_t obstacle_source_timeout_ns;
-    /* 2208: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
+    /* 2216: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
      * 0: none is silent. */
     uint64_t silent_obstacle_source;
-    /* 2216: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
+    /* 2224: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
      * the daemon stood still. */
     uint64_t silent_since_ns;
-    /* 2224: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
+    /* 2232: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
     double rate_weight_auto;
-    /* 2232: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
+    /* 2240: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
     uint64_t tip_measured_ns;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2240);
+CDCR_ASSERT_SIZE(CdcrStatus, 2248);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {

@@ -14,9 +14,7 @@ use core::ffi::{CStr, c_char, c_int};
 use core::time::Duration;
 
 use cdcr_client::{CommandedRates, Connection, Driver, Requester, monotonic_ns};
-use cdcr_shared_types::codes::{
-    ChunkMode, EventKind, Interface, Interpolation, ObstacleAction, RequestKind,
-};
+use cdcr_shared_types::codes::{ChunkMode, EventKind, Interpolation, ObstacleAction, RequestKind};
 use cdcr_shared_types::limits::{CABLES_MAX, CHUNK_POINTS_MAX, OBSTACLES_MAX};
 use cdcr_shared_types::{
     Header, InputEvent, Location, Measurement, Obstacle, ReferencePoint, Response,
@@ -24,7 +22,7 @@ use cdcr_shared_types::{
 };
 
 use crate::code::Code;
-use crate::failure::{Failure, read_code};
+use crate::failure::{Failure, read_code, read_interface};
 use crate::guard::{call, last_error, set_last_error};
 use crate::handles;
 use crate::layout::{Place, Position, Rates, Update, check_layout};
@@ -97,8 +95,7 @@ impl<T> Out<T> {
 /// The pointer rule at the top of this file.
 unsafe fn read<T: Copy>(pointer: *const T, name: &str) -> Result<T, Failure> {
     // SAFETY: the caller keeps the rule; one element.
-    let items = unsafe { read_array(pointer, 1, 1, name)? };
-    Ok(items[0])
+    Ok(unsafe { read_array(pointer, 1, 1, name)? }[0])
 }
 
 /// The `count` elements of an array, at most `most`. NULL is the empty array.
@@ -250,6 +247,22 @@ unsafe extern "C" fn cdcr_request(
 }
 
 #[unsafe(no_mangle)]
+unsafe extern "C" fn cdcr_reset(
+    connection: *mut Session,
+    accept_pose: u32,
+    timeout_ns: u64,
+    response: *mut Response,
+) -> c_int {
+    call(|| {
+        // SAFETY: the rule of cdcr.h on pointers.
+        let out = unsafe { Out::one_or_none(response, "response")? };
+        let (accepts, timeout) = (accept_pose != 0, ns(timeout_ns));
+        let asked = handles::with(connection, |session| session.reset(accepts, timeout));
+        answer(asked, &out)
+    })
+}
+
+#[unsafe(no_mangle)]
 unsafe extern "C" fn cdcr_feed(
     connection: *mut Session,
     mode: u32,
@@ -332,11 +345,6 @@ unsafe extern "C" fn cdcr_telemetry_read(
         // SAFETY: as before.
         let missing = unsafe { Out::one_or_none(lost, "lost")? };
         read.write(0);
-        if capacity == 0 {
-            return Err(Failure::argument(
-                "capacity is 0: there is no room for a record",
-            ));
-        }
         let (count, lost) = handles::with(connection, |session| {
             session.read_telemetry(capacity, ns(timeout_ns), |index, record| {
                 out.write_at(index, record);
@@ -381,12 +389,7 @@ unsafe extern "C" fn cdcr_driver_connect(
         let handle = unsafe { Out::one(driver, "driver")? };
         handle.write(core::ptr::null_mut());
         check_layout(layout)?;
-        let interface: Interface = read_code(interface, "interface")?;
-        if interface == Interface::None {
-            return Err(Failure::argument(
-                "interface: a driver obeys CDCR_INTERFACE_VELOCITY or CDCR_INTERFACE_POSITION",
-            ));
-        }
+        let interface = read_interface(interface)?;
         // SAFETY: as before.
         let (location, robot) = unsafe { read_place(place)? };
         let opened = Driver::connect_within(&location, &robot, interface, ns(timeout_ns))?;
@@ -441,15 +444,13 @@ unsafe extern "C" fn cdcr_driver_update(driver: *mut Driver, update: *mut Update
     call(|| {
         // SAFETY: the rule of cdcr.h on pointers.
         let out = unsafe { Out::one(update, "update")? };
-        let (found, refusals) = handles::with(driver, |driver| {
+        out.write_result(handles::with(driver, |driver| {
             let found = driver.update()?;
-            Ok((found, driver.refusals()))
-        })?;
-        if let Some(refusal) = found.refused {
-            set_last_error(&refusal.to_string());
-        }
-        out.write(Update::new(&found, refusals));
-        Ok(())
+            if let Some(refusal) = found.refused {
+                set_last_error(&refusal.to_string());
+            }
+            Ok(Update::new(&found, driver.refusals()))
+        }))
     })
 }
 
@@ -479,8 +480,8 @@ unsafe extern "C" fn cdcr_driver_position_at(
     call(|| {
         // SAFETY: the rule of cdcr.h on pointers.
         let out = unsafe { Out::one(position, "position")? };
-        let commanded = handles::with(driver, |driver| Ok(driver.position_at(now_ns)))?;
-        let Some(commanded) = commanded else {
+        let Some(commanded) = handles::with(driver, |driver| Ok(driver.position_at(now_ns)))?
+        else {
             return Ok(Code::Nothing);
         };
         out.write(commanded.into());

@@ -2,7 +2,7 @@ use core::fmt::Display;
 
 use cdcr_client::{ConnectError, LinkError, RequestError, StopError};
 use cdcr_shared_types::Response;
-use cdcr_shared_types::codes::UnknownCode;
+use cdcr_shared_types::codes::{Interface, UnknownCode};
 
 use crate::code::Code;
 
@@ -35,6 +35,16 @@ pub(crate) fn read_code<T: TryFrom<u32, Error = UnknownCode>>(
     name: &str,
 ) -> Result<T, Failure> {
     T::try_from(value).map_err(|unknown| Failure::argument(format!("{name}: {unknown}")))
+}
+
+/// Converts the argument `interface` of a driver.
+pub(crate) fn read_interface(value: u32) -> Result<Interface, Failure> {
+    match read_code(value, "interface")? {
+        Interface::None => Err(Failure::argument(
+            "interface: a driver obeys CDCR_INTERFACE_VELOCITY or CDCR_INTERFACE_POSITION",
+        )),
+        interface => Ok(interface),
+    }
 }
 
 impl From<ConnectError> for Failure {
@@ -75,9 +85,16 @@ fn code_of(error: &LinkError) -> Code {
 impl From<RequestError> for Failure {
     fn from(error: RequestError) -> Self {
         let refusal = match &error {
-            RequestError::Refused { outcome, mode, .. } => Some(Response {
+            RequestError::Refused {
+                outcome,
+                mode,
+                pose,
+                ..
+            } => Some(Response {
                 outcome: outcome.code(),
                 mode: mode.code(),
+                pose_section: pose.section,
+                pose_difference_rad: pose.rad,
                 ..Response::default()
             }),
             _ => None,

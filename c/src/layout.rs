@@ -10,7 +10,7 @@ use crate::code::Code;
 use crate::failure::Failure;
 
 /// Incremented with every change of a function, or of a struct of `cdcr.h` that is not a message.
-const BORDER: u8 = 1;
+const BORDER: u8 = 2;
 
 /// `CDCR_LAYOUT`: a program compiled with the header of another version is refused. The versions in the
 /// message names change with the layout and the meaning of the messages.

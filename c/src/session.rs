@@ -60,6 +60,14 @@ impl Session {
         Ok(response)
     }
 
+    pub(crate) fn reset(
+        &mut self,
+        accept_pose: bool,
+        timeout: Duration,
+    ) -> Result<Response, Failure> {
+        Ok(self.connection.reset_within(accept_pose, timeout)?)
+    }
+
     pub(crate) fn feed(
         &mut self,
         mode: ChunkMode,
@@ -117,6 +125,11 @@ impl Session {
         timeout: Duration,
         mut write: impl FnMut(usize, Telemetry),
     ) -> Result<(usize, u64), Failure> {
+        if capacity == 0 {
+            return Err(Failure::argument(
+                "capacity is 0: there is no room for a record",
+            ));
+        }
         let telemetry = self.telemetry()?;
         let mut count = 0;
         let mut next = telemetry.next_within(timeout)?;

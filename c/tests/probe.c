@@ -73,6 +73,7 @@ static void handles(CdcrConnection *none, CdcrDriver *no_driver) {
     size_t count = 7;
     SAYS(cdcr_status(none, 0, &status), CDCR_ERROR_HANDLE, "not an open connection");
     IS(cdcr_request(none, CDCR_REQUEST_KIND_HOLD, 0, NULL), CDCR_ERROR_HANDLE);
+    IS(cdcr_reset(none, 1, 0, NULL), CDCR_ERROR_HANDLE);
     IS(cdcr_feed(none, 0, 0, &point, 1, NULL), CDCR_ERROR_HANDLE);
     IS(cdcr_obstacles(none, 0, &obstacle, 1, NULL), CDCR_ERROR_HANDLE);
     IS(cdcr_send_tip(none, 0, numbers, NULL), CDCR_ERROR_HANDLE);
@@ -198,7 +199,9 @@ static void *in_a_thread(void *unused) {
     CdcrResponse response;
     SAYS(cdcr_request(own, CDCR_REQUEST_KIND_TRACK, TIMEOUT_NS, &response), CDCR_ERROR_REFUSED, "cdcrctl reset");
     IS((int)response.mode, CDCR_MODE_STOPPED);
-    IS(cdcr_request(own, CDCR_REQUEST_KIND_RESET, TIMEOUT_NS, NULL), CDCR_OK);
+    IS(cdcr_reset(own, 0, TIMEOUT_NS, &response), CDCR_OK);
+    IS((int)response.pose_section, 0);
+    IS(cdcr_reset(own, 1, TIMEOUT_NS, NULL), CDCR_OK);
     /* The end of the thread closes the connection and gives the lease back. */
     IS(cdcr_request(own, CDCR_REQUEST_KIND_ACQUIRE_LEASE, TIMEOUT_NS, NULL), CDCR_OK);
     return unused;

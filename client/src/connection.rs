@@ -3,7 +3,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Interface, RequestKind};
 use cdcr_shared_types::{
-    Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Response, Service,
+    Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service,
     SolverSettings, Status,
 };
 
@@ -170,8 +170,30 @@ impl Connection {
         kind: RequestKind,
         timeout: Duration,
     ) -> Result<Response, RequestError> {
-        self.control
-            .request(kind, SolverSettings::default(), timeout)
+        self.control.request(kind, Request::default(), timeout)
+    }
+
+    /// Leaves the modes stopped and faulted. The daemon refuses a reset where the robot is measured far from where
+    /// its last command left it ([`Outcome::PoseDiffers`](cdcr_shared_types::codes::Outcome::PoseDiffers)):
+    /// encoders may have lost their zero. `accept_pose`: the measured pose is right, for example after a motion by
+    /// hand, and control begins there. Without it this is [`request`](Self::request) of a reset.
+    ///
+    /// # Errors
+    /// As [`request`](Self::request).
+    pub fn reset(&self, accept_pose: bool) -> Result<Response, RequestError> {
+        self.reset_within(accept_pose, REQUEST_TIMEOUT)
+    }
+
+    /// Like [`reset`](Self::reset), waiting at most `timeout`.
+    ///
+    /// # Errors
+    /// As [`request`](Self::request).
+    pub fn reset_within(
+        &self,
+        accept_pose: bool,
+        timeout: Duration,
+    ) -> Result<Response, RequestError> {
+        self.control.reset(accept_pose, timeout)
     }
 
     /// Resets the statistics of the status, for all clients.
@@ -187,8 +209,12 @@ impl Connection {
     /// # Errors
     /// As [`request`](Self::request).
     pub fn change_settings(&self, settings: SolverSettings) -> Result<Response, RequestError> {
+        let content = Request {
+            settings,
+            ..Request::default()
+        };
         self.control
-            .request(RequestKind::Settings, settings, REQUEST_TIMEOUT)
+            .request(RequestKind::Settings, content, REQUEST_TIMEOUT)
     }
 
     /// Acquires the lease: the right to send references until it is dropped.

@@ -1,5 +1,8 @@
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 
+const ACCEPT_POSE: &str = "Check where it is. If it was moved by hand, its motors were off or something held it, the measured pose may be right. Otherwise its encoders \
+     have lost their zero: bring it to straight and set the zero (docs/drivers.md, Zero). Then accept the measured pose: cdcrctl reset --accept-pose.";
+
 /// Remedy for a refused message or request: one sentence.
 pub fn remedy(outcome: Outcome) -> &'static str {
     match outcome {
@@ -42,6 +45,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
             "Correct the cause first: cdcrctl status names it in its line reset (after many deadline misses, wait until the cycles were in time for \
              some seconds); then repeat cdcrctl reset."
         }
+        Outcome::PoseDiffers => ACCEPT_POSE,
         Outcome::Waits => {
             "Restart the program that sends the obstacles, or remove them all: cdcrctl obstacle clear."
         }
@@ -146,7 +150,10 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
             "Move the obstacle or the robot, then cdcrctl reset. Where cdcrctl status shows a tip margin, check the tip \
              sensor first; where the robot rests clear of the obstacle, its motors lag more than [actuator] states, or its driver stalls."
         }
-        Reason::StoppedBefore => "Check the robot, then cdcrctl reset.",
+        Reason::StoppedBefore => {
+            "Check the robot, and the zero of encoders that were started again, too (docs/drivers.md, Zero), then cdcrctl reset."
+        }
+        Reason::PoseDiffers => ACCEPT_POSE,
         Reason::Shutdown => "Restart it with cdcrd run.",
     }
 }

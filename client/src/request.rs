@@ -4,7 +4,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind, UnknownCode};
-use cdcr_shared_types::{Request, Response, Service, SolverSettings, ipc};
+use cdcr_shared_types::{Request, Response, Service, ipc};
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::BackpressureStrategy;
 use iceoryx2::service::port_factory::PortFactory;
@@ -46,11 +46,29 @@ impl Asked {
     }
 }
 
+/// How far a section is measured from where its last command left it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct PoseDifference {
+    /// Section with the largest difference, 1 next to the base; 0: the refusal is not for this reason.
+    pub section: u32,
+    /// The difference \[rad\].
+    pub rad: f64,
+}
+
+impl fmt::Display for PoseDifference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.section {
+            0 => Ok(()),
+            section => write!(f, ": section {section} by {:.2} rad", self.rad),
+        }
+    }
+}
+
 /// Why a request failed.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RequestError {
     /// The daemon refused the request.
-    #[error("cannot {asked}: {} (the daemon is {mode}). {}", refusal(asked.kind(), *outcome), request_remedy(asked.kind(), *outcome, *mode))]
+    #[error("cannot {asked}: {}{pose} (the daemon is {mode}). {}", refusal(asked.kind(), *outcome), request_remedy(asked.kind(), *outcome, *mode))]
     Refused {
         /// The request.
         asked: Asked,
@@ -58,6 +76,8 @@ pub enum RequestError {
         outcome: Outcome,
         /// Mode of the daemon after the request.
         mode: Mode,
+        /// With [`Outcome::PoseDiffers`].
+        pose: PoseDifference,
     },
     /// No answer arrived.
     #[error(
@@ -168,11 +188,11 @@ impl Control {
 
     /// Sends a request and returns the answer if it is accepted. When the daemon ends without an answer, or
     /// none is running, the next daemon gets the request as soon as it knows the robot's configuration. So no
-    /// request is lost within `timeout`.
+    /// request is lost within `timeout`. Of the `content`, header and kind are ignored.
     pub(crate) fn request(
         &self,
         kind: RequestKind,
-        settings: SolverSettings,
+        content: Request,
         timeout: Duration,
     ) -> Result<Response, RequestError> {
         let deadline = Instant::now() + timeout;
@@ -181,8 +201,7 @@ impl Control {
             let request = Request {
                 header: self.sender.next_header(Service::Control),
                 kind: kind.code(),
-                reserved: 0,
-                settings,
+                ..content
             };
             let answer = self.request_once(kind, request, deadline)?;
             let is_over = Instant::now() >= deadline;
@@ -201,6 +220,19 @@ impl Control {
             }
             thread::sleep(POLL_INTERVAL);
         }
+    }
+
+    /// Sends a reset.
+    pub(crate) fn reset(
+        &self,
+        accept_pose: bool,
+        timeout: Duration,
+    ) -> Result<Response, RequestError> {
+        let content = Request {
+            accepts_pose: u32::from(accept_pose),
+            ..Request::default()
+        };
+        self.request(RequestKind::Reset, content, timeout)
     }
 
     /// Sends `request` to the present daemon. `None` when it will not answer, or has not answered by
@@ -255,6 +287,10 @@ fn evaluate(kind: RequestKind, response: Response) -> Result<Response, RequestEr
                 asked,
                 outcome,
                 mode,
+                pose: PoseDifference {
+                    section: response.pose_section,
+                    rad: response.pose_difference_rad,
+                },
             },
             Err(code) => RequestError::Answer { asked, code },
         }),
@@ -285,6 +321,27 @@ mod tests {
         );
         assert!(text.contains("tracking"), "{text}");
         assert!(text.contains("cdcrctl status"), "{text}");
+    }
+
+    #[test]
+    fn a_refused_pose_names_its_section_and_the_ways_out() {
+        let response = Response {
+            outcome: Outcome::PoseDiffers.code(),
+            mode: Mode::Faulted.code(),
+            pose_section: 2,
+            pose_difference_rad: 0.834,
+            ..Response::default()
+        };
+        let text = evaluate(RequestKind::Reset, response)
+            .expect_err("refused")
+            .to_string();
+        for part in [
+            "left it: section 2 by 0.83 rad (the daemon is faulted). ",
+            "--accept-pose",
+            "zero",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::RequestKind;
-use cdcr_shared_types::{Location, Response, Service, SolverSettings};
+use cdcr_shared_types::{Location, Request, Response, Service};
 
 use crate::connect_error::{Place, not_reached};
 use crate::request::{Control, POLL_INTERVAL};
@@ -29,7 +29,7 @@ pub struct Requester {
 }
 
 /// Why a stop is not confirmed.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StopError {
     /// The request could not be sent.
     #[error(transparent)]
@@ -86,8 +86,15 @@ impl Requester {
     /// # Errors
     /// As [`Connection::request`](crate::Connection::request).
     pub fn request(&self, kind: RequestKind) -> Result<Response, RequestError> {
-        self.control
-            .request(kind, SolverSettings::default(), TIMEOUT)
+        self.control.request(kind, Request::default(), TIMEOUT)
+    }
+
+    /// Sends a reset and waits for the answer, at most 1 s.
+    ///
+    /// # Errors
+    /// As [`Connection::reset`](crate::Connection::reset).
+    pub fn reset(&self, accept_pose: bool) -> Result<Response, RequestError> {
+        self.control.reset(accept_pose, TIMEOUT)
     }
 
     /// Stops the robot by every available means. It first sends a request over a port reserved for stops. If
@@ -145,7 +152,7 @@ impl Requester {
         }
         let left = deadline.saturating_duration_since(Instant::now());
         let waits = left.max(ANSWER_MIN);
-        Ok(control.request(RequestKind::Stop, SolverSettings::default(), waits)?)
+        Ok(control.request(RequestKind::Stop, Request::default(), waits)?)
     }
 }
 

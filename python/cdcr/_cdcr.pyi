@@ -81,9 +81,12 @@ class Connection:
         """
         Removes obstacles by their numbers. Raises RequestError if the daemon refuses.
         """
-    def reset(self, /) -> None:
+    def reset(self, /, *, accept_pose: bool = False) -> None:
         """
         Leaves the modes stopped and faulted. Raises RequestError while the cause stands.
+
+        accept_pose: the measured pose is right although it is far from where the last command left the robot, for example after a motion by hand; control begins there.
+        Without it the daemon refuses such a reset: encoders may have lost their zero.
         """
     def reset_statistics(self, /) -> None:
         """

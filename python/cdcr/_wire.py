@@ -257,6 +257,8 @@ class Outcome(Code):
     """The mean length of a section's cables is not that of its backbone."""
     IN_THE_FUTURE = 27
     """A time is in the future."""
+    POSE_DIFFERS = 28
+    """The robot is measured far from where its last command left it."""
 
 
 class Reason(Code):
@@ -302,6 +304,8 @@ class Reason(Code):
     """The cables of a section went slack, or one broke (safety.cable_common_m)."""
     STOPPED_BEFORE = 20
     """It was stopped or faulted before the daemon started; use cdcrctl reset."""
+    POSE_DIFFERS = 21
+    """The robot is measured far from where its last command left it."""
 
 
 class ReferenceState(Code):

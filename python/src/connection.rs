@@ -132,8 +132,16 @@ impl Connection {
     }
 
     /// Leaves the modes stopped and faulted. Raises RequestError while the cause stands.
-    fn reset(&self, py: Python<'_>) -> PyResult<()> {
-        self.request(py, RequestKind::Reset)
+    ///
+    /// accept_pose: the measured pose is right although it is far from where the last command left the robot, for example after a motion by hand; control begins there.
+    /// Without it the daemon refuses such a reset: encoders may have lost their zero.
+    #[pyo3(signature = (*, accept_pose = false))]
+    fn reset(&self, py: Python<'_>, accept_pose: bool) -> PyResult<()> {
+        let response = self
+            .worker
+            .call_on_thread(py, move |desk| desk.connection.reset(accept_pose))?;
+        response.map_err(Failure::from)?;
+        Ok(())
     }
 
     /// Asks to move to the straight robot. Raises RequestError if the daemon refuses.

@@ -166,6 +166,7 @@ impl From<RequestError> for Failure {
                 asked,
                 outcome,
                 mode,
+                ..
             } => request_remedy(asked.kind(), *outcome, *mode),
             RequestError::Restarted => "Feed again.",
             RequestError::Timeout { liveness, .. } => next_after_silence(*liveness),

@@ -355,6 +355,30 @@ def test_a_driver_moves_its_robot_along_a_reference(interface: str) -> None:
         daemon.end()
 
 
+def test_a_reset_where_the_last_command_did_not_leave_the_robot_has_to_accept_the_pose() -> None:
+    """The robot is moved by hand while it is stopped."""
+    daemon = Daemon("--set", "link.kind=driver", "--set", "link.measurement_timeout_ms=2000")
+    try:
+        with daemon.connect() as connection, connection.driver("velocity") as driver:
+            bend = np.zeros(6)
+
+            def status_of(key: str) -> object:
+                driver.send(bend=bend)
+                return connection.status()[key]
+
+            eventually(lambda: status_of("mode") is cdcr.Mode.HOLDING)
+            connection.stop()
+            bend[2] = 0.5
+            eventually(lambda: status_of("reset_refused_by") is cdcr.Reason.POSE_DIFFERS)
+            with pytest.raises(cdcr.RequestError, match="section 2 by 0.50 rad") as refused:
+                connection.reset()
+            assert "accept" in (refused.value.remedy or "")
+            connection.reset(accept_pose=True)
+            eventually(lambda: status_of("mode") is cdcr.Mode.HOLDING)
+    finally:
+        daemon.end()
+
+
 def test_commands_that_a_driver_must_not_follow_are_refused_and_counted() -> None:
     """The second driver has a position interface, and the daemon commands speeds."""
     daemon = Daemon("--set", "link.kind=driver", "--set", "link.interface=velocity")

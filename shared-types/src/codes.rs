@@ -234,6 +234,8 @@ wire_enum! {
         CommonMode = 19: "the cables of a section went slack, or one broke (safety.cable_common_m)",
         /// The daemon was restarted since, without a reset.
         StoppedBefore = 20: "it was stopped or faulted before the daemon started; use cdcrctl reset",
+        /// Refuses a reset that does not accept the measured pose; never the reason of a mode.
+        PoseDiffers = 21: "the robot is measured far from where its last command left it",
     }
 }
 
@@ -302,6 +304,8 @@ wire_enum! {
         CableMean = 26: "the mean length of a section's cables is not that of its backbone",
         /// More than a millisecond ahead of the daemon's clock.
         InTheFuture = 27: "a time is in the future",
+        /// A reset without `accepts_pose`: a section is measured more than 0.2 rad from where the last command left it.
+        PoseDiffers = 28: "the robot is measured far from where its last command left it",
     }
 }
 

@@ -5,19 +5,20 @@ message! {
     /// A request to the daemon. It is lost with a killed daemon, unless its client still waits for an answer and sends
     /// it to the next daemon, as the client library does. Except for a stop, the daemon rejects a request that was sent
     /// more than 1 s before ([`Outcome::Stale`](crate::codes::Outcome::Stale)).
-    pub struct Request "cdcr.Request.v1" {
+    pub struct Request "cdcr.Request.v2" {
         /// Sender, sequence, time. The sender's identity is what a lease is bound to.
         header: Header,
         /// [`codes::RequestKind`](crate::codes::RequestKind).
         kind: u32 [code RequestKind],
-        /// Zero.
-        reserved: u32 [reserved],
+        /// With a reset: it is also granted where the robot is measured far from where its last command left it; control
+        /// begins where it is measured. 0 with every other request.
+        accepts_pose: u32 [yes],
         /// Read by a settings request only.
         settings: SolverSettings,
     }
 
     /// The daemon's response to a request: accepted, or the reason for its rejection.
-    pub struct Response "cdcr.Response.v1" {
+    pub struct Response "cdcr.Response.v2" {
         /// The daemon, sequence, time.
         header: Header,
         /// `header.sequence` of the request.
@@ -33,5 +34,12 @@ message! {
         lease_holder: u64,
         /// How long the lease still runs \[ns\].
         lease_left_ns: u64,
+        /// With the outcome [`PoseDiffers`](crate::codes::Outcome::PoseDiffers): how far this section is measured from
+        /// where the last command left it \[rad\]. Otherwise 0.
+        pose_difference_rad: f64,
+        /// Section with the largest such difference, 1 next to the base; otherwise 0.
+        pose_section: u32,
+        /// Zero.
+        reserved: u32 [reserved],
     }
 }

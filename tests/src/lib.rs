@@ -403,6 +403,12 @@ pub fn ask_for(connection: &Connection, kind: RequestKind) -> Response {
     connection.request_within(kind, TIMEOUT).unwrap()
 }
 
+/// Resets the robot and accepts where it is measured.
+#[track_caller]
+pub fn reset_here(connection: &Connection) -> Response {
+    connection.reset_within(true, TIMEOUT).unwrap()
+}
+
 /// Sends a request that the daemon rejects, and returns the reason. A missing answer is not a rejection.
 #[track_caller]
 pub fn refused(connection: &Connection, kind: RequestKind) -> Outcome {

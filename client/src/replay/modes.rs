@@ -123,8 +123,9 @@ impl Before {
                 Ok(codes::ReferenceState::Ended) => ReferenceState::Ended,
                 Ok(codes::ReferenceState::None) | Err(_) => ReferenceState::None,
             },
-            // Requests refused for this reason are not among the accepted ones.
+            // Requests refused for one of these reasons are not among the accepted ones.
             too_far: false,
+            pose_differs: false,
             lease: match codes::LeaseState::try_from(record.lease_state) {
                 Ok(codes::LeaseState::Held) => LeaseState::Held,
                 Ok(codes::LeaseState::Expired) => LeaseState::Expired,
@@ -246,5 +247,5 @@ macro_rules! reasons {
 reasons! {
     Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
     LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
-    InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore,
+    InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore, PoseDiffers,
 }

@@ -31,7 +31,18 @@ pub struct FollowingError {
 impl FollowingError {
     /// Error of the section with the largest error \[rad\].
     pub fn largest_rad(&self) -> f64 {
-        self.bend_rad.iter().copied().fold(0.0, f64::max)
+        self.largest().1
+    }
+
+    /// That section, 1 next to the base, and its error \[rad\]; 0 where no section has one.
+    pub fn largest(&self) -> (u32, f64) {
+        let sections = (1..).zip(self.bend_rad);
+        sections.fold(
+            (0, 0.0),
+            |most, section| {
+                if section.1 > most.1 { section } else { most }
+            },
+        )
     }
 }
 
@@ -42,6 +53,9 @@ impl FollowingError {
 /// For a robot that obeys positions, the commanded value is the commanded position. For one that obeys
 /// speeds, it is the integral of the speeds, which returns to the measured value with a time constant of one
 /// second.
+///
+/// In a [latched](Self::latch) mode the expected position does not return: it is where the last command left the robot,
+/// however long the robot rests there.
 #[derive(Debug, Clone)]
 pub struct FollowingWatch {
     rules: FollowingRules,
@@ -56,6 +70,12 @@ pub struct FollowingWatch {
     now_s: f64,
     /// Time since the last measurement \[s\].
     unmeasured_s: f64,
+    /// In a latched mode: smallest and largest commanded value of each component since the lag before it, and the last place
+    /// measured before. Motors that stopped at once, also those of a driver that fell silent, and motors that complete their
+    /// motion rest in this range.
+    latched: Option<(Configuration, Configuration)>,
+    /// The last measurement, unless its error was a warning.
+    followed: Option<Configuration>,
     error: FollowingError,
 }
 
@@ -73,6 +93,8 @@ impl FollowingWatch {
             newest: 0,
             now_s: 0.0,
             unmeasured_s: 0.0,
+            latched: None,
+            followed: None,
             error: FollowingError::default(),
         }
     }
@@ -94,6 +116,19 @@ impl FollowingWatch {
         self.error = FollowingError::default();
     }
 
+    /// Whether the robot is in a latched mode from now on.
+    pub fn latch(&mut self, is_latched: bool) {
+        if is_latched != self.latched.is_some() {
+            self.latched = is_latched.then(|| {
+                let mut range = self.commanded_range();
+                if let Some(followed) = &self.followed {
+                    widen(&mut range, followed.as_slice());
+                }
+                range
+            });
+        }
+    }
+
     /// The thresholds.
     pub fn rules(&self) -> &FollowingRules {
         &self.rules
@@ -110,18 +145,21 @@ impl FollowingWatch {
             }
         }
         self.commanded = self.commanded.advanced(rates, moving_s);
+        if let Some(range) = &mut self.latched {
+            widen(range, self.commanded.as_slice());
+        }
         self.unmeasured_s += elapsed_s;
         self.now_s += elapsed_s;
     }
 
     /// Evaluates a measurement.
     pub fn measured(&mut self, robot: &Robot, measured: &Configuration) -> &FollowingError {
-        if !self.obeys_positions {
+        if !self.obeys_positions && self.latched.is_none() {
             let gain = self.unmeasured_s / (self.unmeasured_s + FORGETTING_S);
             self.draw_to(measured, gain);
         }
         self.unmeasured_s = 0.0;
-        let (least, most) = self.commanded_range();
+        let (least, most) = self.latched.unwrap_or_else(|| self.commanded_range());
         let mut off = *measured;
         let range = least.as_slice().iter().zip(most.as_slice());
         for (off, (least, most)) in off.as_mut_slice().iter_mut().zip(range) {
@@ -132,6 +170,8 @@ impl FollowingWatch {
             bend_rad: core::array::from_fn(|j| off.bend_rad(j)),
             cable_m: robot.cable_strokes(&off),
         };
+        let is_good = self.error.largest_rad() <= self.rules.warning_rad;
+        self.followed = is_good.then_some(*measured);
         &self.error
     }
 
@@ -166,6 +206,15 @@ impl FollowingWatch {
         for (commanded, measured) in pairs.zip(measured.as_slice()) {
             *commanded += gain * (measured - *commanded);
         }
+    }
+}
+
+/// Widens a range of each component by a value.
+fn widen((least, most): &mut (Configuration, Configuration), values: &[f64]) {
+    let range = least.as_mut_slice().iter_mut().zip(most.as_mut_slice());
+    for ((least, most), value) in range.zip(values) {
+        *least = least.min(*value);
+        *most = most.max(*value);
     }
 }
 
@@ -272,6 +321,37 @@ mod tests {
         });
         assert!(drift < RULES.warning_rad, "{drift}");
         assert!(largest_rad(false, turn, |_, _| 0.0) > RULES.fault_rad);
+    }
+
+    /// Commands of 1 rad/s for a second end in a fault; the motors rest somewhere on the way of the last 0.1 s. Whatever
+    /// is measured then, for how long, the expected position is that of the last command, until control begins again.
+    #[test]
+    fn in_a_latched_mode_the_last_command_is_not_forgotten() {
+        let robot = robot();
+        for obeys_positions in [true, false] {
+            let mut watch = FollowingWatch::new(RULES, obeys_positions, bends(0.0, 0.0));
+            let mut turn = |rate: f64, measured: f64, is_latched: bool| {
+                watch.latch(is_latched);
+                let rates = BendRates::from_slice(&[rate, 0.0]).unwrap();
+                watch.commanded(&rates, PERIOD_S, PERIOD_S);
+                watch.measured(&robot, &bends(measured, 0.0)).largest_rad()
+            };
+            for step in 1..=200 {
+                turn(1.0, f64::from(step) * PERIOD_S, false);
+            }
+            for step in 0..2000 {
+                let rate = (1.0 - f64::from(step) * 0.2).max(0.0);
+                for on_the_way in [0.93, 1.0] {
+                    assert!(turn(rate, on_the_way, true) < 1e-9);
+                }
+                let error_rad = turn(0.0, 0.4, true);
+                assert!((error_rad - 0.5).abs() < 0.02, "{error_rad} rad");
+            }
+            let moved = turn(0.0, 1.5, true);
+            assert!((moved - 0.48).abs() < 0.02, "{moved} rad");
+            watch.begin(bends(1.5, 0.0));
+            assert!(watch.measured(&robot, &bends(1.5, 0.0)).largest_rad() < 1e-12);
+        }
     }
 
     #[test]

@@ -11,7 +11,7 @@
 //!  any ── measurement lost, jumps or frozen, non-finite, limit, contact, does not follow, cables slack ──► Faulted(cause)   latched
 //!  Tracking, Homing ── stale inputs, silent source of obstacles ──► Holding
 //!  Tracking ── replaced by a reference that is too far ──► Holding
-//!  Stopped, Faulted ── reset, cause gone ──► Holding
+//!  Stopped, Faulted ── reset, cause gone, measured where the last command left the robot or accepted there ──► Holding
 //!  Starting ──► Stopped, not Holding, where the robot was stopped or faulted before the process was started
 //! ```
 
@@ -63,6 +63,8 @@ pub enum Reason {
     CommonMode,
     /// The robot was stopped or faulted before the process was restarted.
     StoppedBefore,
+    /// The robot is measured far from where its last command left it: a reason to refuse a reset, not of a mode.
+    PoseDiffers,
 }
 
 /// The mode with its state.
@@ -136,6 +138,9 @@ pub enum Request {
     Stop,
     /// Leave a latched mode.
     Reset,
+    /// The same where the robot is measured far from where its last command left it: control begins where it is
+    /// measured.
+    ResetAcceptingPose,
 }
 
 /// Why a request is refused.
@@ -156,6 +161,9 @@ pub enum Refusal {
     /// The cause of the fault persists.
     #[error("the cause of the fault persists")]
     CauseStands,
+    /// The robot is measured far from where its last command left it, and the request does not accept this.
+    #[error("the robot is measured far from where its last command left it")]
+    PoseDiffers,
     /// The robot must wait, without a fault: [`Observation::wait`].
     #[error("the robot has to wait")]
     Waits,
@@ -202,6 +210,8 @@ pub struct Observation {
     pub wait: Option<Reason>,
     /// A fault that is present in this cycle.
     pub fault: Option<Reason>,
+    /// Whether the robot is measured far from where its last command left it.
+    pub pose_differs: bool,
 }
 
 impl Observation {
@@ -211,7 +221,8 @@ impl Observation {
             return Some(Reason::MeasurementLost);
         }
         let misses = self.misses_overflow.then_some(Reason::DeadlineMisses);
-        self.fault.or(misses)
+        let pose = self.pose_differs.then_some(Reason::PoseDiffers);
+        self.fault.or(misses).or(pose)
     }
 }
 
@@ -308,7 +319,7 @@ impl ModeMachine {
                 Ok(())
             }
             (Request::Stop, Mode::Faulted { .. } | Mode::Stopped { .. })
-            | (Request::Reset, Mode::Holding { .. })
+            | (Request::Reset | Request::ResetAcceptingPose, Mode::Holding { .. })
             | (Request::Track { .. }, Mode::Tracking { .. }) => Ok(()),
             (Request::Stop, _) => {
                 self.mode = Mode::Stopped {
@@ -316,7 +327,10 @@ impl ModeMachine {
                 };
                 Ok(())
             }
-            (Request::Reset, Mode::Stopped { .. } | Mode::Faulted { .. }) => self.reset(seen),
+            (
+                Request::Reset | Request::ResetAcceptingPose,
+                Mode::Stopped { .. } | Mode::Faulted { .. },
+            ) => self.reset(request, seen),
             (Request::Hold, Mode::Holding { .. } | Mode::Tracking { .. } | Mode::Homing) => {
                 self.hold(Reason::Request);
                 Ok(())
@@ -419,9 +433,12 @@ impl ModeMachine {
         }
     }
 
-    fn reset(&mut self, seen: &Observation) -> Result<(), Refusal> {
-        if seen.reset_refused_by().is_some() {
-            return Err(Refusal::CauseStands);
+    fn reset(&mut self, request: Request, seen: &Observation) -> Result<(), Refusal> {
+        match seen.reset_refused_by() {
+            Some(Reason::PoseDiffers) if request == Request::ResetAcceptingPose => {}
+            Some(Reason::PoseDiffers) => return Err(Refusal::PoseDiffers),
+            Some(_) => return Err(Refusal::CauseStands),
+            None => {}
         }
         self.hold(Reason::Request);
         Ok(())

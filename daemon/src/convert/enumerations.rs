@@ -21,13 +21,13 @@ macro_rules! to_wire {
 
 to_wire! {
     /// A refusal of the mode machine.
-    pub refusal: Refusal => Outcome { WrongMode, NoLease, NoReference, TooFar, CauseStands, Waits, Overruled, Ending }
+    pub refusal: Refusal => Outcome { WrongMode, NoLease, NoReference, TooFar, CauseStands, PoseDiffers, Waits, Overruled, Ending }
     pub mode: Mode => Mode { Starting, Holding, Tracking, Homing, Stopped, Faulted }
     /// Reason of a mode.
     pub reason: Reason => Reason {
         Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
         LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
-        InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore,
+        InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore, PoseDiffers,
     }
     /// Part of a command that the driver executes.
     pub interface: Interface => Interface { Velocity, Position }

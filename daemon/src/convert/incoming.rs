@@ -287,12 +287,17 @@ pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, 
 
 /// The request about the mode; `None` for those about lease, settings and statistics. `lease_number` is the
 /// number of the reference lease at the time of the request.
-pub fn mode_request(kind: codes::RequestKind, lease_number: u32) -> Option<Request> {
+pub fn mode_request(
+    kind: codes::RequestKind,
+    accepts_pose: bool,
+    lease_number: u32,
+) -> Option<Request> {
     match kind {
         codes::RequestKind::Track => Some(Request::Track { lease_number }),
         codes::RequestKind::Hold => Some(Request::Hold),
         codes::RequestKind::Home => Some(Request::Home),
         codes::RequestKind::Stop => Some(Request::Stop),
+        codes::RequestKind::Reset if accepts_pose => Some(Request::ResetAcceptingPose),
         codes::RequestKind::Reset => Some(Request::Reset),
         codes::RequestKind::AcquireLease
         | codes::RequestKind::ReleaseLease

@@ -220,6 +220,7 @@ impl Cycle {
         let measurement = self.link.measure(release.release_ns, inputs);
         self.state.count_silence(measurement, inputs);
         self.move_on(elapsed_ns);
+        self.state.following.latch(self.modes.mode().is_latched());
         let measurement_use = self.state.measure(measurement, release.release_ns);
         let tip_measurement = self.link.measure_tip(release.release_ns, inputs);
         let sensors = inputs.tip_sensors;

@@ -6,6 +6,10 @@ use cdcr_controller::safety::{Observation, Reason};
 use super::Cycle;
 use crate::handover::{CycleInputs, TimedMeasurement};
 
+/// A robot that was held by its motors is not measured farther from where its last command left it: a bend of a section
+/// \[rad\]. Beyond, its encoders may have lost their zero, and a person decides.
+const POSE_DIFFERS_RAD: f64 = 0.2;
+
 impl Cycle {
     pub(super) fn observe(
         &mut self,
@@ -25,6 +29,7 @@ impl Cycle {
             suspended: core::mem::replace(&mut self.suspends, inputs.suspends) != inputs.suspends,
             wait: self.wait(inputs, reference),
             fault: self.fault(measurement),
+            pose_differs: self.state.following().error().largest_rad() > POSE_DIFFERS_RAD,
         }
     }
 

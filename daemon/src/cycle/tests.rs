@@ -330,7 +330,7 @@ fn a_robot_that_does_not_follow_is_a_fault_and_a_reset_begins_where_it_is() {
         );
         assert!(record.following.largest_rad() > record.policy.following.fault_rad);
         assert!(is_at_rest(&trial.turns(100)));
-        let record = trial.ask(Request::Reset);
+        let record = trial.ask(Request::ResetAcceptingPose);
         assert_eq!(record.answers[0].unwrap().outcome, Ok(()));
         assert_eq!(
             record.mode,

@@ -108,15 +108,18 @@ impl Exchange {
 
     fn take_request(&mut self, asked: Asked, now_ns: u64, shared: &Shared) {
         let kind = RequestKind::try_from(asked.payload().kind);
-        let (Ok(kind), 0) = (kind, asked.payload().reserved) else {
-            return self.answer_now(&asked, Outcome::UnknownCode, now_ns);
+        let (kind, accepts_pose) = match (kind, asked.payload().accepts_pose) {
+            (Ok(kind), 0) => (kind, false),
+            (Ok(RequestKind::Reset), 1) => (RequestKind::Reset, true),
+            _ => return self.answer_now(&asked, Outcome::UnknownCode, now_ns),
         };
         // The client of so old a request has already timed out; only a stop is never too late.
         let age_ns = now_ns.saturating_sub(asked.payload().header.sent_ns);
         if age_ns > REQUEST_AGE_MAX_NS {
             return self.answer_now(&asked, Outcome::Stale, now_ns);
         }
-        if let Some(request) = mode_request(kind, self.references.lease_number()) {
+        let lease_number = self.references.lease_number();
+        if let Some(request) = mode_request(kind, accepts_pose, lease_number) {
             self.forward_to_cycle(asked, request, now_ns);
         } else {
             let outcome = self.execute(kind, asked.payload(), now_ns, shared);
@@ -182,9 +185,15 @@ impl Exchange {
             // With several waiting records, only the hand-over time identifies the cycle that decided.
             let decided_ns = record.handed_over_ns;
             self.note_request(&header, kind, outcome, record.gather, decided_ns);
+            let (pose_section, pose_difference_rad) = match outcome {
+                Outcome::PoseDiffers => record.following.largest(),
+                _ => (0, 0.0),
+            };
             let response = Response {
                 cycle: record.release.cycle,
                 mode: convert::mode(record.mode).code(),
+                pose_section,
+                pose_difference_rad,
                 ..self.response(&header, outcome, now_ns)
             };
             let _ = asked.send_copy(response);
@@ -201,6 +210,7 @@ impl Exchange {
             mode: self.newest.mode.code(),
             lease_holder: self.references.holder(now_ns).unwrap_or(0),
             lease_left_ns: self.references.lease_left_ns(now_ns),
+            ..Response::default()
         }
     }
 

@@ -160,8 +160,10 @@ pub(crate) enum Task {
     )]
     Stop,
     /// Leave mode stopped or faulted, and hold
-    #[command(after_help = "Example:\n  cdcrctl reset --wait")]
-    Reset(WaitOptions),
+    #[command(
+        after_help = "Examples:\n  cdcrctl reset --wait\n  cdcrctl reset --accept-pose     after a motion by hand"
+    )]
+    Reset(ResetOptions),
     /// Show the newest status: mode, counters, latencies, robot, settings
     #[command(
         after_help = "Examples:\n  cdcrctl status\n  cdcrctl status --watch                update every second\n  \
@@ -290,6 +292,16 @@ pub(crate) struct WaitOptions {
     #[arg(long, value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "60s",
         value_parser = value::duration_in(value::WAIT_S))]
     pub(crate) wait: Option<Duration>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ResetOptions {
+    /// Accept the measured pose where it is far from where the last command left the robot, for example after a motion by hand.
+    /// Without this the reset is refused there: encoders that have lost their zero measure the same
+    #[arg(long)]
+    pub(crate) accept_pose: bool,
+    #[command(flatten)]
+    pub(crate) wait: WaitOptions,
 }
 
 #[derive(Debug, Args)]

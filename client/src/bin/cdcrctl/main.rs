@@ -101,7 +101,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
         Task::Hold(options) => request::run(target, RequestKind::Hold, options.wait),
         Task::Home(options) => request::run(target, RequestKind::Home, options.wait),
         Task::Stop => request::run(target, RequestKind::Stop, None),
-        Task::Reset(options) => reset::run(target, options.wait),
+        Task::Reset(options) => reset::run(target, options),
         Task::Top(options) => top::run(target, options),
         Task::Status(options) => show_status::run(target, options),
         Task::Incidents(options) => incidents::run(target, options),

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::bail;
-use cdcr_client::{Asked, Connection, RequestError};
+use cdcr_client::{Asked, Connection, PoseDifference, RequestError};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 
@@ -26,6 +26,7 @@ pub(crate) fn check_stands(connection: &Connection, before: &Telemetry) -> anyho
             asked: Asked::Request(RequestKind::AcquireLease),
             outcome: Outcome::LeaseHeld,
             mode: Mode::try_from(status.mode)?,
+            pose: PoseDifference::default(),
         }
         .into());
     }

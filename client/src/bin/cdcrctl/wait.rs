@@ -2,7 +2,7 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::bail;
-use cdcr_client::{Connection, TelemetryStream};
+use cdcr_client::{Connection, RequestError, TelemetryStream};
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind, guard};
 use cdcr_shared_types::{Response, Telemetry};
 
@@ -30,10 +30,20 @@ enum Progress {
 }
 
 pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow::Result<Done> {
+    run_by(target, kind, limit, |connection| connection.request(kind))
+}
+
+/// As [`run`], where `ask` sends the request.
+pub(crate) fn run_by(
+    target: &Target,
+    kind: RequestKind,
+    limit: Duration,
+    ask: impl FnOnce(&Connection) -> Result<Response, RequestError>,
+) -> anyhow::Result<Done> {
     let connection = target.connect()?;
     let mut telemetry = connection.telemetry()?;
     let interrupt = Interrupt::catch()?;
-    let response = connection.request(kind)?;
+    let response = ask(&connection)?;
     let watched = watch(
         &connection,
         &mut telemetry,

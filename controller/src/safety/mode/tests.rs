@@ -140,6 +140,25 @@ fn latched_modes_stay_until_reset_and_reset_waits_for_the_cause() {
             assert_eq!(seen.reset_refused_by(), Some(cause));
         }
         assert_eq!(good().reset_refused_by(), None);
+        let elsewhere = |fault| Observation {
+            fault,
+            pose_differs: true,
+            ..good()
+        };
+        let refused = asked(mode, Request::Reset, elsewhere(None));
+        assert_eq!(refused, Err(Refusal::PoseDiffers));
+        let reason = elsewhere(None).reset_refused_by();
+        assert_eq!(reason, Some(Reason::PoseDiffers));
+        let accepting = Request::ResetAcceptingPose;
+        let holding = Mode::Holding {
+            reason: Reason::Request,
+        };
+        for seen in [elsewhere(None), good()] {
+            assert_eq!(asked(mode, accepting, seen), Ok(holding));
+        }
+        // The pose alone is accepted, no fault.
+        let refused = asked(mode, accepting, elsewhere(Some(Reason::LimitBroken)));
+        assert_eq!(refused, Err(Refusal::CauseStands));
         let reset = asked(mode, Request::Reset, good());
         assert_eq!(
             reset,

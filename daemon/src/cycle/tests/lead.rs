@@ -63,7 +63,7 @@ fn track_directly_after_a_reset_begins_where_the_robot_is() {
         let ends = rest.present.as_slice().iter();
         let mut ways = ends.zip(rest.configuration.as_slice());
         assert!(is_at_rest(&rest) && ways.any(|(here, end)| (end - here).abs() > 2e-3));
-        let reset = trial.ask(Request::Reset);
+        let reset = trial.ask(Request::ResetAcceptingPose);
         assert_eq!(reset.answers[0].unwrap().outcome, Ok(()));
         trial.stands = false;
         if interface == Interface::Position {

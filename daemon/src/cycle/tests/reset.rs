@@ -45,9 +45,10 @@ fn after_a_wrong_measurement_the_set_point_makes_no_step() {
     let (mut before, mut rate_rad_s) = (stood_at.clone(), vec![0.0_f64; 6]);
     for turn in 0..300 {
         let (record, outcome) = match turn {
-            0 => (trial.ask(Request::Reset), Ok(())),
+            0 => (trial.ask(Request::Reset), Err(Refusal::PoseDiffers)),
+            1 => (trial.ask(Request::ResetAcceptingPose), Ok(())),
             // Control has not begun.
-            1 => (trial.ask(TRACK), Err(Refusal::Waits)),
+            2 => (trial.ask(TRACK), Err(Refusal::Waits)),
             _ => (trial.turn(), Ok(())),
         };
         assert!(
@@ -58,7 +59,12 @@ fn after_a_wrong_measurement_the_set_point_makes_no_step() {
                 .all(|answer| answer.outcome == outcome)
         );
         let mode = record.mode;
-        assert!(matches!(mode, Mode::Holding { .. }), "{mode:?}");
+        let is_refused = outcome == Err(Refusal::PoseDiffers);
+        assert_eq!(
+            matches!(mode, Mode::Holding { .. }),
+            !is_refused,
+            "{mode:?}"
+        );
         for (i, last) in rate_rad_s.iter_mut().enumerate() {
             let rate = (trial.target_rad[i] - before[i]) / PERIOD_S;
             let most = (last.abs() + MOST_RAD_S2 * PERIOD_S).min(record.policy.home_rate_rad_s);
@@ -103,7 +109,7 @@ fn after_a_wrong_measurement_the_set_point_of_a_new_driver_makes_no_step() {
     trial.turns(2);
     let mut trial = faulted(trial, WRONG_M);
     let stood_at = trial.target_rad.clone();
-    trial.ask(Request::Reset);
+    trial.ask(Request::ResetAcceptingPose);
     let first = trial.turn();
     assert!(first.way.is_some());
     assert!(apart(&trial.target_rad, &stood_at) < MOST_RAD_S2 * PERIOD_S * PERIOD_S * 1.01);
@@ -114,7 +120,7 @@ fn after_a_wrong_measurement_the_set_point_of_a_new_driver_makes_no_step() {
 #[test]
 fn the_way_ends_where_the_robot_has_come_back() {
     let mut trial = faulted(tracking(), WRONG_M);
-    trial.ask(Request::Reset);
+    trial.ask(Request::ResetAcceptingPose);
     assert!(trial.turns(10).way.is_some());
     trial.inputs.obstacle_source_silent = true;
     assert!(trial.turns(20).way.is_none());
@@ -133,7 +139,7 @@ fn the_way_ends_where_the_robot_has_come_back() {
 #[test]
 fn a_stop_ends_the_way_to_the_robot() {
     let mut trial = faulted(tracking(), WRONG_M);
-    trial.ask(Request::Reset);
+    trial.ask(Request::ResetAcceptingPose);
     trial.turns(20);
     trial.ask(Request::Stop);
     trial.turns(20);
@@ -141,7 +147,7 @@ fn a_stop_ends_the_way_to_the_robot() {
     trial.turns(20);
     assert_eq!(bits(&trial.target_rad), target_rad);
     let before = trial.target_rad.clone();
-    trial.ask(Request::Reset);
+    trial.ask(Request::ResetAcceptingPose);
     trial.turn();
     assert!(apart(&trial.target_rad, &before) < MOST_RAD_S2 * PERIOD_S * PERIOD_S * 1.01);
 }
@@ -153,7 +159,7 @@ fn encoders_at_rest_are_not_frozen_on_the_way_to_the_robot() {
     let mut trial = faulted(tracking_with(Flaws::default()), 4.0 * WRONG_M);
     trial.stands = true;
     let (stood_at, measured) = (trial.target_rad.clone(), trial.measured());
-    trial.ask(Request::Reset);
+    trial.ask(Request::ResetAcceptingPose);
     for _ in 0..600 {
         let mode = trial.turn().mode;
         assert!(matches!(mode, Mode::Holding { .. }), "{mode:?}");
@@ -163,4 +169,50 @@ fn encoders_at_rest_are_not_frozen_on_the_way_to_the_robot() {
     trial.begin_tracking();
     let reason = trial.turns(600).mode.reason();
     assert_eq!(reason, Reason::MeasurementFrozen);
+}
+
+/// Outcome of a reset of a robot that rests since its driver fell silent in a motion, and is measured `error_rad` elsewhere,
+/// a quarter of a minute later.
+fn reset_elsewhere(interface: Interface, error_rad: f64) -> (Trial, Result<(), Refusal>) {
+    let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), DIRECT);
+    trial.turns(3);
+    trial.begin_tracking();
+    trial.turns(400);
+    // The motors stop at once; the daemon commands on until the timeout, and then its ramp.
+    trial.stands = true;
+    for _ in 0..100 {
+        trial.turn_of(false, true);
+    }
+    assert_eq!(trial.last().mode.reason(), Reason::MeasurementLost);
+    while trial.cable_error_m[0] < error_rad * 1.5 * 0.0125 {
+        trial.cable_error_m[0] += 1e-5;
+        trial.turn();
+    }
+    trial.turns(3000);
+    let outcome = trial.ask(Request::Reset).answers[0].unwrap().outcome;
+    (trial, outcome)
+}
+
+/// Speeds that are integrated would be forgotten in a second while in control; in a fault the place where the last command
+/// left the robot is kept. A robot that rests on its last motion is no other place.
+#[test]
+fn a_reset_asks_about_a_pose_that_differs_and_about_no_other() {
+    for interface in [Interface::Velocity, Interface::Position] {
+        for error_rad in [0.0, 0.12] {
+            let (_, outcome) = reset_elsewhere(interface, error_rad);
+            assert_eq!(outcome, Ok(()), "{interface:?} {error_rad} rad");
+        }
+        let (mut trial, outcome) = reset_elsewhere(interface, 0.35);
+        assert_eq!(outcome, Err(Refusal::PoseDiffers), "{interface:?}");
+        let refused_by = trial.last().reset_refused_by;
+        assert_eq!(refused_by, Some(Reason::PoseDiffers));
+        let accepted = trial.ask(Request::ResetAcceptingPose);
+        assert_eq!(accepted.answers[0].unwrap().outcome, Ok(()));
+        // Once control has begun there, a stop and a reset need no such word.
+        trial.turns(1000);
+        trial.ask(Request::Stop);
+        trial.turns(100);
+        let reset = trial.ask(Request::Reset);
+        assert_eq!(reset.answers[0].unwrap().outcome, Ok(()), "{interface:?}");
+    }
 }

@@ -161,7 +161,8 @@ fn what_is_reserved_must_be_zero_but_in_a_stop() {
     let request = |kind: RequestKind| Request {
         header: chunk.header,
         kind: kind.code(),
-        reserved: 1,
+        // For a reset alone.
+        accepts_pose: 1,
         ..Request::default()
     };
     let release = rig.control.send_copy(request(RequestKind::ReleaseLease));

@@ -6,8 +6,6 @@ use std::time::Instant;
 
 use cdcr_client::{Circle, Connection, FeedEnd, FeedEvent, FeedOptions, Line, Spiral, Trajectory};
 
-use cdcr_shared_types::codes::RequestKind;
-
 use crate::chaos::dice::Dice;
 use crate::chaos::tally::Tally;
 
@@ -18,7 +16,7 @@ pub(crate) fn feed(connection: &Connection, mut dice: Dice, tally: &Tally, endin
     while !ending.load(Ordering::Relaxed) {
         if dice.chance(80) {
             // Tracking requires a reset first.
-            let _ = connection.request(RequestKind::Reset);
+            let _ = connection.reset(dice.chance(80));
         }
         let curve = curve(&mut dice);
         let options = FeedOptions {

@@ -25,7 +25,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use cdcr_client::FeedOptions;
 use cdcr_controller::plant::Preset;
-use cdcr_shared_types::codes::{Interface, Mode, RequestKind};
+use cdcr_shared_types::codes::{Interface, Mode};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{Daemon, EndWhenDropped, TIMEOUT, asked, paper_line, wait_mode, wait_until};
 
@@ -152,7 +152,7 @@ fn come_back(daemon: &Daemon) {
     // Remaining load of the machine may stop it once more.
     wait_until("it tracks again", || {
         let track = || {
-            connection.request_within(RequestKind::Reset, TIMEOUT)?;
+            connection.reset_within(true, TIMEOUT)?;
             connection
                 .feed(&line, options)?
                 .run(|_| ControlFlow::Continue(()))

@@ -3,7 +3,7 @@
 use cdcr_client::CommandRefusal;
 use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{ask_for, wait_status, wait_until};
+use cdcr_tests::{ask_for, refused, reset_here, wait_status, wait_until};
 use rustix::process::Signal;
 
 use super::measurement::{SENSED_RAD, assert_lost, daemon, go_home, state};
@@ -28,8 +28,57 @@ fn a_killed_driver_is_a_lost_measurement() {
         // Another driver takes its place.
         let _driver = DriverProcess::start_at(daemon.place(), 1.0);
         trail.until("measured", |record| state(record) == MeasurementState::Used);
-        ask_for(&connection, RequestKind::Reset);
+        // Its robot is not where the first one was left.
+        reset_here(&connection);
         trail.until("holding", is(Mode::Holding));
+        Some(())
+    });
+}
+
+/// Encoders that count from the power-on: the robot rests bent, and the driver that is started again measures it straight.
+#[test]
+fn a_driver_that_lost_its_zero_is_not_believed_by_a_reset() {
+    behind_both(|interface| {
+        let daemon = daemon(interface);
+        let (connection, place) = (daemon.connect(), daemon.place());
+        let mut trail = Trail::new(&connection);
+        let driver = DriverProcess::start_at(place, 1.0);
+        trail.until("holding", is(Mode::Holding));
+        driver.signal(Signal::KILL);
+        drop(driver);
+        assert_lost(&mut trail, "driver killed", || {});
+        let _driver = DriverProcess::start_at(place, 0.0);
+        // However long the new driver measures: many times the second in which speeds are forgotten while in control.
+        let mut measured_s = 0.0;
+        trail.until("measured for 5 s", |record| {
+            measured_s += if state(record) == MeasurementState::Used {
+                1e-9 * record.period_ns as f64
+            } else {
+                0.0
+            };
+            measured_s > 5.0
+        });
+        let elsewhere = "is measured far from where its last command left it";
+        let remedy = "have lost their zero: bring it to straight and set the zero (docs/drivers.md, Zero). Then accept the measured pose: cdcrctl reset --accept-pose.";
+        place.says(
+            "cdcrctl status",
+            0,
+            &["is refused now: the robot ", elsewhere, remedy],
+        );
+        place.says("cdcrctl reset", 1, &[elsewhere, "section 1 by ", remedy]);
+        place.says("cdcrctl reset --wait", 1, &[elsewhere, "section 1 by "]);
+        assert_eq!(
+            refused(&connection, RequestKind::Reset),
+            Outcome::PoseDiffers
+        );
+        trail.catch_up();
+        trail.until("it stays faulted", is(Mode::Faulted));
+        place.says("cdcrctl reset --accept-pose", 0, &["accepted"]);
+        trail.until("holding", is(Mode::Holding));
+        // A stop of a robot that rests where it is commanded needs no such word.
+        trail.until("control begins", |record| record.control_begins == 0);
+        ask_for(&connection, RequestKind::Stop);
+        ask_for(&connection, RequestKind::Reset);
         Some(())
     });
 }

@@ -1,9 +1,9 @@
 //! A robot that does not follow its commands.
 
 use cdcr_controller::plant::{Flaws, Preset};
-use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
+use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::record::largest;
-use cdcr_tests::{Daemon, ask_for, wait_until};
+use cdcr_tests::{Daemon, ask_for, refused, reset_here, wait_until};
 
 use crate::faults::robot::{Robot, behind_both, is_held_by_a_stall};
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is};
@@ -42,8 +42,10 @@ fn a_robot_that_does_not_follow_is_a_fault() {
         let place = "rad from its command";
         wait_until("the log names it", || daemon.log().contains(place));
         assert_ramps_to_rest(&mut trail, &now, || robot.turn());
-        // Control begins at the present position.
-        ask_for(&connection, RequestKind::Reset);
+        // Control begins at the present position, if a person accepts it.
+        let outcome = refused(&connection, RequestKind::Reset);
+        assert_eq!(outcome, Outcome::PoseDiffers);
+        reset_here(&connection);
         trail.until_while("holding", || robot.turn(), is(Mode::Holding));
         Some(())
     });

@@ -7,7 +7,7 @@ use cdcr_client::{Connection, monotonic_ns};
 use cdcr_controller::plant::Flaws;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
-use cdcr_tests::{Daemon, TIMEOUT, ask_for, refused, wait_status, wait_until};
+use cdcr_tests::{Daemon, TIMEOUT, ask_for, refused, reset_here, wait_status, wait_until};
 
 use crate::faults::robot::{Robot, behind_both, is_held_by_a_stall};
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is, say};
@@ -408,7 +408,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
             records += 1;
             records > 100
         });
-        ask_for(&connection, RequestKind::Reset);
+        reset_here(&connection);
         trail.until("holding", is(Mode::Holding));
         Some(())
     });

@@ -307,8 +307,13 @@ pub(crate) fn request() -> impl Strategy<Value = Draft> {
         RequestKind::Reset,
         RequestKind::Reset,
     ];
-    let mode = select(kinds.to_vec()).prop_map(|kind| Request {
+    let mode = (select(kinds.to_vec()), 0..2_u32).prop_map(|(kind, accepts_pose)| Request {
         kind: kind.code(),
+        accepts_pose: if kind == RequestKind::Reset {
+            accepts_pose
+        } else {
+            0
+        },
         ..Request::default()
     });
     draft(prop_oneof![settings, mode].prop_map(Step::Request))

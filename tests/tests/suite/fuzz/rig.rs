@@ -154,7 +154,7 @@ impl Rig {
         let Ok(kind) = RequestKind::try_from(request.kind) else {
             return false;
         };
-        if let Some(request) = convert::mode_request(kind, 0) {
+        if let Some(request) = convert::mode_request(kind, request.accepts_pose == 1, 0) {
             self.requests.push_back(CycleRequest {
                 ticket: 1,
                 request,

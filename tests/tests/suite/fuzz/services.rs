@@ -266,9 +266,8 @@ impl Watcher {
             self.measure();
             obstacles.clear().unwrap();
             // Rejected while the daemon still uses the invalid measurements.
-            for kind in [RequestKind::Reset, RequestKind::Hold] {
-                let _ = self.connection.request(kind);
-            }
+            let _ = self.connection.reset(true);
+            let _ = self.connection.request(RequestKind::Hold);
             self.look().mode == Mode::Holding.code()
         });
     }

@@ -126,7 +126,10 @@ fn accepts_request(request: &message::Request) -> bool {
                 | RequestKind::Stop
                 | RequestKind::Reset
         );
-        assert_eq!(mode_request(kind, 0).is_some(), is_mode, "{kind:?}");
+        for accepts_pose in [false, true] {
+            let request = mode_request(kind, accepts_pose, 0);
+            assert_eq!(request.is_some(), is_mode, "{kind:?}");
+        }
         return true;
     }
     let Ok(settings) = settings_from_wire(&request.settings, PERIOD_NS) else {

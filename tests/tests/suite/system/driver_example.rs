@@ -5,7 +5,8 @@ use std::process::Command;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementState, Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, TIMEOUT, paper_line, text, track, wait_mode, wait_record,
+    Daemon, PATIENT, Place, Program, TIMEOUT, paper_line, reset_here, text, track, wait_mode,
+    wait_record,
 };
 use rustix::process::Signal;
 
@@ -104,9 +105,7 @@ fn a_position_driver_that_is_started_again_beside_a_stopped_robot_moves_nothing(
         assert_eq!(at_m, straight.cable_length_m, "{mode:?}");
     };
     stands(Mode::Faulted);
-    connection
-        .request_within(RequestKind::Reset, TIMEOUT)
-        .unwrap();
+    reset_here(&connection);
     stands(Mode::Holding);
 }
 

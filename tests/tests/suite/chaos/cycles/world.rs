@@ -220,7 +220,8 @@ impl World {
         };
         self.clock.step_ns.set(self.dice.pick(&steps_ns));
         let asked = self.asked.take();
-        let mut request = asked.and_then(|kind| convert::mode_request(kind, 0));
+        let accepts_pose = self.dice.chance(80);
+        let mut request = asked.and_then(|kind| convert::mode_request(kind, accepts_pose, 0));
         let next_request = || {
             let request = request.take()?;
             Some(CycleRequest {

@@ -112,7 +112,8 @@ impl<'a> Director<'a> {
     fn go_home(&mut self) {
         let ask = |kind| self.connection.request_within(kind, ANSWER).is_ok();
         wait_until("it goes home", || {
-            let _ = (ask(RequestKind::Reset), ask(RequestKind::Hold));
+            let _ = self.connection.reset_within(true, ANSWER);
+            let _ = ask(RequestKind::Hold);
             ask(RequestKind::Home)
         });
     }
@@ -204,7 +205,12 @@ impl<'a> Director<'a> {
             self.crowd.start(self.daemon.place(), &[command]);
             return;
         }
-        let answer = match self.connection.request_within(kind, ANSWER) {
+        let answered = if kind == RequestKind::Reset && self.dice.chance(80) {
+            self.connection.reset_within(true, ANSWER)
+        } else {
+            self.connection.request_within(kind, ANSWER)
+        };
+        let answer = match answered {
             Ok(_) => "accepted",
             Err(cdcr_client::RequestError::Refused { .. }) => "refused",
             Err(_) => "not answered",
