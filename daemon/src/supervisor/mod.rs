@@ -7,6 +7,7 @@
 mod snapshot;
 mod statistics;
 mod steal;
+mod tip_silence;
 mod watchdog;
 
 use std::time::{Duration, Instant};
@@ -23,6 +24,7 @@ use crate::service_manager::{ServiceManager, StatusLine};
 use crate::status_desk::StatusDesk;
 use statistics::Statistics;
 use steal::{Steal, Stolen};
+use tip_silence::{TipNews, TipSilence};
 use watchdog::Watchdog;
 
 /// Ten periods between two checks, within this range: a check costs a wake-up with cold caches.
@@ -61,6 +63,7 @@ pub struct Supervisor {
     /// The newest late cycle that is not yet in the log.
     late: Option<Summary>,
     logged: Instant,
+    tip_silence: TipSilence,
 }
 
 /// Rate of the cycles.
@@ -108,6 +111,7 @@ impl Supervisor {
             cut_logged_at: now,
             late: None,
             logged: now,
+            tip_silence: TipSilence::default(),
         })
     }
 
@@ -262,16 +266,15 @@ impl Supervisor {
                 "the measured tip is not used: it jumps, is frozen, or is or was more than 0.1 m from where the bends place it (the body then counts as that much thicker; a tip that is near again is used after some time, or after a reset)"
             );
         }
-        match (is_tip_silent(&self.newest), is_tip_silent(summary)) {
-            // Without its driver, the robot does not go on.
-            (false, true) if summary.mode != Mode::Faulted => tracing::warn!(
+        match self.tip_silence.news(summary) {
+            Some(TipNews::Silent) => tracing::warn!(
                 cycle = summary.cycle,
                 "the tip sensor is silent for {TIP_SENSOR_SILENT_MS} ms: the robot goes on with its bends, and with the offset of the tip as it was last"
             ),
-            (true, false) if summary.tip_measured_ns > 0 => {
+            Some(TipNews::RegularAgain) => {
                 tracing::info!(cycle = summary.cycle, "the tip is measured again");
             }
-            _ => {}
+            None => {}
         }
         if is_cut_short(summary)
             && !is_cut_short(&self.newest)
@@ -377,13 +380,6 @@ fn sleep_unless_signalled(length: Duration) {
 /// The mode or its reason has changed.
 fn has_changed_mode(summary: &Summary, before: &Summary) -> bool {
     (summary.mode, summary.reason) != (before.mode, before.reason)
-}
-
-/// A sensor that measured the tip beside bends or cables does so no more.
-fn is_tip_silent(summary: &Summary) -> bool {
-    let silent_ns = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
-    summary.tip_measured_ns > 0
-        && summary.due_ns.saturating_sub(summary.tip_measured_ns) > silent_ns
 }
 
 fn is_cut_short(summary: &Summary) -> bool {

@@ -2,9 +2,9 @@
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::robot::Configuration;
-use cdcr_shared_types::codes::Outcome;
+use cdcr_shared_types::codes::{Mode, Outcome};
 
-use super::{MS, PERIOD_NS, Rig, TIMEOUT_MS};
+use super::{MS, PERIOD_NS, Rig, TIMEOUT_MS, homing};
 
 #[test]
 fn a_measurement_that_is_old_at_its_arrival_is_refused_also_the_first() {
@@ -85,4 +85,29 @@ fn another_driver_waits_until_the_cycle_has_seen_that_the_first_is_lost() {
     let bends = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0];
     let first = Configuration::from_slice(&bends).unwrap();
     assert_eq!(last, Measurement::Configuration(first));
+}
+
+/// The first driver is lost while its robot moves: the fault alone does not let another driver in, the rest does.
+#[test]
+fn another_driver_waits_until_the_robot_of_a_fault_rests() {
+    let mut rig = homing("[motion]\ndeceleration_rad_s2 = 2.0\n");
+    let mut moving = 0;
+    for cycle in 3..500 {
+        // The other driver measures on, the first one never again.
+        rig.measure(2, 1.0, 0);
+        rig.next_cycle = cycle;
+        rig.gather();
+        let is_accepted = rig.exchange.measurements.driver_id() == Some(2);
+        let (mode, rests) = (rig.exchange.newest.mode, rig.exchange.newest.rests);
+        assert_eq!(is_accepted, mode == Mode::Faulted && rests, "cycle {cycle}");
+        if is_accepted {
+            break;
+        }
+        moving += u32::from(mode == Mode::Faulted && !rests);
+        rig.run(cycle, None);
+        rig.publish();
+    }
+    // 0.5 rad/s end after a quarter of a second.
+    assert!(moving > 20, "{moving} cycles in motion");
+    assert_eq!(rig.exchange.measurements.driver_id(), Some(2));
 }

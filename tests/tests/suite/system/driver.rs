@@ -119,6 +119,37 @@ fn a_fault_while_tracking_ends_the_feed_with_its_cause() {
     assert_eq!(status.mode, Mode::Faulted.code());
 }
 
+/// A process of speeds that has not measured yet, beside the driver: in its first second it follows no command for the driver,
+/// because it may be about to measure another robot. Later it counts as one that measures nothing, and follows.
+#[test]
+fn a_driver_follows_no_foreign_command_in_its_first_second() {
+    let daemon = Daemon::start(CONFIGURATION);
+    let connection = daemon.connect();
+    let (mut robot, _) = Robot::held(&connection);
+    let mut commands = connection.commands().unwrap();
+    until_undisturbed("foreign commands in the first second", || {
+        let beside = daemon.connect();
+        let opening = Instant::now();
+        let mut other = beside.driver(Interface::Velocity).unwrap();
+        let (mut foreign, mut early) = (0, 0);
+        robot.run_until(|| {
+            while let Some(command) = commands.try_next().unwrap() {
+                assert_ne!(command.driver_id, 0);
+                foreign += 1;
+            }
+            let update = other.update().unwrap();
+            assert_eq!(update.refused, None);
+            // After a stall, the second may be over.
+            if opening.elapsed() < Duration::from_secs(1) {
+                assert_eq!(update.command, None, "after {foreign} foreign commands");
+                early = foreign;
+            }
+            update.command.is_some()
+        });
+        (early > 20).then_some(())
+    });
+}
+
 #[test]
 fn no_command_comes_before_the_first_measurement() {
     let daemon = Daemon::start(CONFIGURATION);

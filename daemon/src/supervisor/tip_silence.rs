@@ -1,0 +1,109 @@
+use cdcr_shared_types::codes::Mode;
+use cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS;
+
+use crate::handover::Summary;
+
+/// A sensor that was silent counts as regular again after this time without a silence \[ns\]. One that measures less than
+/// once a second never does: it is one line of the log, not two for each measurement.
+const REGULAR_NS: u64 = 5_000_000_000;
+
+/// What the log has to say about the silences of a tip sensor.
+#[derive(Debug, Default)]
+pub(super) struct TipSilence {
+    is_logged: bool,
+    /// Since when a sensor whose silence is in the log has not been silent \[ns\].
+    heard_since_ns: Option<u64>,
+}
+
+/// A line of the log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum TipNews {
+    Silent,
+    RegularAgain,
+}
+
+impl TipSilence {
+    /// The news of a cycle. In a fault a silence is none: without its driver the robot does not go on. It is one after the
+    /// reset, if it lasts.
+    pub(super) fn news(&mut self, summary: &Summary) -> Option<TipNews> {
+        if summary.tip_measured_ns == 0 {
+            *self = Self::default();
+            return None;
+        }
+        if is_silent(summary) {
+            self.heard_since_ns = None;
+            let is_news = !self.is_logged && summary.mode != Mode::Faulted;
+            self.is_logged |= is_news;
+            return is_news.then_some(TipNews::Silent);
+        }
+        if !self.is_logged {
+            return None;
+        }
+        let since_ns = *self.heard_since_ns.get_or_insert(summary.due_ns);
+        if summary.due_ns.saturating_sub(since_ns) < REGULAR_NS {
+            return None;
+        }
+        *self = Self::default();
+        Some(TipNews::RegularAgain)
+    }
+}
+
+/// A sensor that measured the tip beside bends or cables does so no more.
+fn is_silent(summary: &Summary) -> bool {
+    let silent_ns = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
+    summary.due_ns.saturating_sub(summary.tip_measured_ns) > silent_ns
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD_NS: u64 = 5_000_000;
+
+    /// The news while the tip is measured each `each_ns`, in one mode.
+    fn news(
+        watch: &mut TipSilence,
+        mode: Mode,
+        each_ns: u64,
+        from_s: u64,
+        to_s: u64,
+    ) -> Vec<TipNews> {
+        let [from_ns, to_ns] = [from_s, to_s].map(|s| s * 1_000_000_000);
+        let cycles = (from_ns..to_ns).step_by(PERIOD_NS as usize);
+        let summaries = cycles.map(|due_ns| Summary {
+            mode,
+            due_ns,
+            tip_measured_ns: (due_ns / each_ns * each_ns).max(1),
+            ..Summary::default()
+        });
+        summaries
+            .filter_map(|summary| watch.news(&summary))
+            .collect()
+    }
+
+    /// A sensor that is silent once and then regular is two lines; one that measures each two seconds is one.
+    #[test]
+    fn a_silence_is_logged_once_until_the_sensor_is_regular() {
+        let (often_ns, seldom_ns) = (10_000_000, 2_000_000_000);
+        let mut watch = TipSilence::default();
+        let mut of = |each_ns, from_s, to_s| news(&mut watch, Mode::Holding, each_ns, from_s, to_s);
+        assert_eq!(of(often_ns, 1, 10), []);
+        assert_eq!(of(u64::MAX, 10, 14), [TipNews::Silent]);
+        assert_eq!(of(often_ns, 14, 18), []);
+        assert_eq!(of(often_ns, 18, 30), [TipNews::RegularAgain]);
+        assert_eq!(of(seldom_ns, 30, 300), [TipNews::Silent]);
+        assert_eq!(of(often_ns, 300, 320), [TipNews::RegularAgain]);
+    }
+
+    /// A fault whose driver measured the tip, too, has a line of its own. What lasts after the reset is news.
+    #[test]
+    fn in_a_fault_a_silence_is_no_news() {
+        let mut watch = TipSilence::default();
+        let mut of = |mode, each_ns, from_s, to_s| news(&mut watch, mode, each_ns, from_s, to_s);
+        assert_eq!(of(Mode::Holding, 10_000_000, 1, 10), []);
+        assert_eq!(of(Mode::Faulted, u64::MAX, 10, 60), []);
+        assert_eq!(of(Mode::Faulted, 10_000_000, 60, 70), []);
+        assert_eq!(of(Mode::Faulted, u64::MAX, 70, 80), []);
+        assert_eq!(of(Mode::Holding, u64::MAX, 80, 90), [TipNews::Silent]);
+    }
+}
