@@ -637,8 +637,8 @@ typedef struct CdcrStatistics {
     uint64_t tip_error_max_nm;
     /* 88: Cycles of a robot behind a driver that saw no newer measurement than the cycle before. */
     uint64_t stale_measurements;
-    /* 96: Tips measured beside bends or cables that were not used: they jumped, were frozen or were more than 0.1 m
-     * from where the bends place them. */
+    /* 96: Tips measured beside bends or cables that were not used: they jumped, were frozen or were more than a
+     * ninth of the robot's length from where the bends place them. */
     uint64_t tips_not_used;
     /* 104: Records, with their part of the statistics, and events that were lost inside the daemon because a queue
      * was full. */

@@ -28,6 +28,7 @@ use iceoryx2::port::publisher::Publisher;
 use crate::config::{LinkKind, Validated, ns};
 use crate::handover::{
     CycleRecord, CycleReport, FaultPlace, MeasurementUse, ReporterEnds, Shared, Summary,
+    TipRejection,
 };
 use crate::rt::attribution::{Attribution, CauseAssignment, EvaluatedCycle, Timing};
 use crate::rt::clock::Clock;
@@ -58,8 +59,8 @@ pub struct Reporter {
     /// Where the cycle that began the present fault saw its cause.
     fault_place: Option<FaultPlace>,
     measured_error: MeasuredError,
-    /// The newest tip measured beside the bends was rejected.
-    tip_rejected: bool,
+    /// The newest tip measured beside the bends, if it was rejected.
+    tip_rejected: Option<TipRejection>,
     attribution: Attribution,
 }
 
@@ -84,7 +85,7 @@ impl Reporter {
             incidents_sent: 0,
             last_mode: Mode::Starting,
             measured_error: MeasuredError::default(),
-            tip_rejected: false,
+            tip_rejected: None,
             fault_place: None,
             attribution: Attribution::default(),
         }
@@ -135,8 +136,10 @@ impl Reporter {
                 sensed.into_iter().flatten(),
             );
             match record.tip_use {
-                MeasurementUse::Implausible => self.tip_rejected = true,
-                MeasurementUse::Used => self.tip_rejected = false,
+                MeasurementUse::Implausible => {
+                    self.tip_rejected = TipRejection::find(&self.robot, record);
+                }
+                MeasurementUse::Used => self.tip_rejected = None,
                 MeasurementUse::None | MeasurementUse::Repeated => {}
             }
             let late_cause = match assignment {

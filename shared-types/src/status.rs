@@ -80,7 +80,7 @@ message! {
         tip_error_max_nm: u64 [max "largest tip error"],
         /// Cycles of a robot behind a driver that saw no newer measurement than the cycle before.
         stale_measurements: u64 [sum "stale measurements"],
-        /// Tips measured beside bends or cables that were not used: they jumped, were frozen or were more than 0.1 m from where the bends place them.
+        /// Tips measured beside bends or cables that were not used: they jumped, were frozen or were more than a ninth of the robot's length from where the bends place them.
         tips_not_used: u64 [sum "measured tips not used"],
         /// Records, with their part of the statistics, and events that were lost inside the daemon because a queue was full.
         dropped_records: u64 [sum "dropped records"],

@@ -19,6 +19,7 @@ use actuator::{ActuatorModel, added};
 pub use slack::Slack;
 use tip_filter::{TIP_NOISE_M, TipFilter};
 use tip_offset::TipOffset;
+pub use tip_offset::tip_offset_max_m;
 
 /// Number of low-pass filters in series. The rates follow the estimate at once, so noise changes them by the second difference of the
 /// estimate. At the same delay, three filters give a tenth of the second difference of two.
@@ -315,7 +316,7 @@ impl Estimator {
 
     /// Upper bound on the tip's distance from the position given by the bends (m): the length of [`Self::tip_offset_m`] plus three standard
     /// deviations of its uncertainty, without the limit of its rate. The safe distance grows by as much ([`Robot::enlarged`]). 0 before the first tip position beside
-    /// measured bends. While the tip is measured more than 0.1 m from the position given by the bends, three times in a row, the bound is that
+    /// measured bends. While the tip is measured more than [`tip_offset_max_m`] from the position given by the bends, three times in a row, the bound is that
     /// distance: such a tip is not followed, but the body may be there.
     pub fn tip_margin_m(&self) -> f64 {
         self.tip_offset.margin_m()
@@ -399,7 +400,7 @@ impl Estimator {
     /// Takes a tip position (m) beside measured bends. The bends are kept; the tip offset ([`Self::tip_offset_m`]) and its change along the
     /// path of the tip are learnt.
     ///
-    /// Returns false and learns nothing if the position is more than 0.1 m from that of the bends, or was so three times in a row
+    /// Returns false and learns nothing if the position is more than [`tip_offset_max_m`] from that of the bends, or was so three times in a row
     /// a short time ago, or is not finite. The same if it is
     /// bit-identical to the last one: the sensor may have stopped.
     pub fn correct_tip(&mut self, robot: &Robot, position_m: &Vector3<f64>, age_s: f64) -> bool {

@@ -8,9 +8,17 @@ const TIME_CONSTANT_S: f64 = 0.1;
 /// Time constant at rest if the play of the cables is known: a motor that reverses because of noise crosses the whole
 /// play.
 const TIME_CONSTANT_WITH_PLAY_S: f64 = 0.2;
-/// A larger measured offset (m) is rejected: either the model or the sensor is wrong, and following the sensor would
-/// not help.
-const OFFSET_MAX_M: f64 = 0.1;
+/// Share of the robot's length beyond which a measured offset is rejected: either the model or the sensor is wrong, and
+/// following the sensor would not help. A sensor in a wrong frame is believed so far. Over their whole range of bends, robots
+/// of one to three sections with the errors of the project's tests (5 % in lengths with a load, play of 0.5 mm, `sloppy`)
+/// have up to 0.073; 10 % in lengths gives 0.1, and cables that are 1 mm too long 0.115.
+const OFFSET_MAX_SHARE: f64 = 1.0 / 9.0;
+
+/// Largest offset of a measured tip from its bends that is followed (m), of a robot of this length.
+pub fn tip_offset_max_m(reach_m: f64) -> f64 {
+    OFFSET_MAX_SHARE * reach_m
+}
+
 /// After so many larger ones in a row the margin covers them: fewer may be an error of the sensor.
 const FAR_LIMIT: u32 = 3;
 /// Largest rate (m/s) at which the offset follows the measurements beside its slope, and with it the tip. If the axes of
@@ -50,6 +58,8 @@ pub(super) struct TipOffset {
     is_moving: bool,
     /// Time since that position was set (s).
     since_model_tip_s: f64,
+    /// Largest offset that is followed (m); infinite before the first measurement.
+    largest_m: f64,
     /// The last measured position (m).
     measured_m: Vector3<f64>,
     /// Time since the last tip position (s), at most the time constant.
@@ -89,6 +99,7 @@ impl TipOffset {
             model_tip_m: None,
             is_moving: false,
             since_model_tip_s: 0.0,
+            largest_m: f64::INFINITY,
             measured_m: Vector3::repeat(f64::NAN),
             since_measured_s: 0.0,
             interval_s: TIME_CONSTANT_S,
@@ -107,6 +118,7 @@ impl TipOffset {
             offset_m: self.offset_m,
             filtered_m: self.filtered_m,
             unlimited_m: self.unlimited_m,
+            largest_m: self.largest_m,
             far_count: self.far_count,
             far_m: self.far_m,
             slope: self.slope.clone(),
@@ -197,7 +209,7 @@ impl TipOffset {
             let change_m = self.slope.change_in_m(&(model_tip_m - before_m), elapsed_s);
             self.filtered_m += change_m;
             self.unlimited_m += change_m;
-            self.offset_m = (self.offset_m + change_m).cap_magnitude(OFFSET_MAX_M);
+            self.offset_m = (self.offset_m + change_m).cap_magnitude(self.largest_m);
         }
     }
 
@@ -213,7 +225,7 @@ impl TipOffset {
             let by_m = model_tip_m - before_m;
             self.filtered_m -= by_m;
             self.unlimited_m -= by_m;
-            self.offset_m = (self.offset_m - by_m).cap_magnitude(OFFSET_MAX_M);
+            self.offset_m = (self.offset_m - by_m).cap_magnitude(self.largest_m);
             self.slope.revise_model_tip(&by_m);
         }
     }
@@ -236,11 +248,12 @@ impl TipOffset {
             return false;
         }
         let away_m = measured_offset_m.norm();
+        self.largest_m = tip_offset_max_m(reach_m);
+        let is_near = away_m <= self.largest_m;
         // No body reaches half as far again as its model: there the sensor is wrong.
-        if away_m > OFFSET_MAX_M && measured_m.norm() < 1.5 * reach_m {
+        if !is_near && measured_m.norm() < 1.5 * reach_m {
             self.take_far(away_m);
         }
-        let is_near = away_m <= OFFSET_MAX_M;
         if !is_near || self.waits(away_m) {
             return false;
         }
@@ -273,7 +286,7 @@ impl TipOffset {
         let dead_zone_m = dead_zone * self.slope.noise_m();
         if distance_m > dead_zone_m {
             let moved_m = self.offset_m + innovation_m * (1.0 - dead_zone_m / distance_m);
-            self.offset_m = moved_m.cap_magnitude(OFFSET_MAX_M);
+            self.offset_m = moved_m.cap_magnitude(self.largest_m);
         }
         self.since_measured_s = 0.0;
         true
@@ -316,6 +329,32 @@ mod tests {
                 let [followed_m, margin_m] = [offset.offset_m().norm(), offset.margin_m()];
                 assert!(margin_m > unlimited_m - 1e-3, "{interval_s}: {margin_m}");
                 assert!(followed_m <= 20.0 * 0.1 * interval_s, "{followed_m}");
+            }
+        }
+    }
+
+    /// A small robot believes a sensor no farther than its own size allows, a large one as far; the offset follows within.
+    #[test]
+    fn the_largest_offset_is_a_share_of_the_length() {
+        for reach_m in [0.05, 0.3, 0.9, 4.0] {
+            for (share, expected) in [(0.1, true), (0.105, true), (0.12, false), (0.5, false)] {
+                let mut offset = TipOffset::new(1e-4 * reach_m);
+                let model_tip_m = Vector3::new(0.0, 0.0, reach_m);
+                let mut used = true;
+                for step in 0..200 {
+                    offset.predict(0.1);
+                    offset.update_model_tip(&model_tip_m);
+                    // No two in a row have the same bits.
+                    let aside_m = Vector3::new(share * reach_m, 1e-9 * f64::from(step % 2), 0.0);
+                    let measured_m = model_tip_m + aside_m;
+                    used &= offset.correct(&measured_m, &model_tip_m, reach_m, false);
+                }
+                assert_eq!(used, expected, "{share} of {reach_m} m");
+                let reached = if expected { share } else { 0.0 };
+                let offset_share = offset.offset_m().norm() / reach_m;
+                assert!((offset_share - reached).abs() < 1e-3, "{offset_share}");
+                // What is not followed makes the body thicker.
+                assert!(offset.margin_m() > 0.99 * share * reach_m);
             }
         }
     }

@@ -21,6 +21,7 @@ mod record;
 mod report;
 mod shared;
 mod summary;
+mod tip_rejection;
 
 pub use channels::{
     Channels, CycleEnds, ExchangeEnds, REQUESTS_PER_CYCLE, REQUESTS_WAITING, ReporterEnds,
@@ -33,3 +34,4 @@ pub use record::{CycleFacts, CycleRecord, MeasurementUse};
 pub use report::{CycleReport, InputReport};
 pub use shared::Shared;
 pub use summary::Summary;
+pub use tip_rejection::TipRejection;

@@ -260,11 +260,10 @@ impl Supervisor {
                 "following error above safety.following_warning_rad"
             );
         }
-        if summary.tip_rejected && !self.newest.tip_rejected {
-            tracing::warn!(
-                cycle = summary.cycle,
-                "the measured tip is not used: it jumps, is frozen, or is or was more than 0.1 m from where the bends place it (the body then counts as that much thicker; a tip that is near again is used after some time, or after a reset)"
-            );
+        if let Some(rejection) = summary.tip_rejected
+            && self.newest.tip_rejected.is_none()
+        {
+            tracing::warn!(cycle = summary.cycle, "{rejection}");
         }
         match self.tip_silence.news(summary) {
             Some(TipNews::Silent) => tracing::warn!(
