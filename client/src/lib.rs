@@ -9,7 +9,7 @@
 //! * [`Connection`] opens the services of one daemon. A client never creates a service: without a running
 //!   daemon, [`Connection::open`] names the daemon it looked for and the command that starts it.
 //! * [`Connection::request`] sends a request (track, hold, stop, reset, home) and waits for the answer. A
-//!   refusal is an error with a reason and a remedy.
+//!   refusal is an error with a reason and a remedy. [`Connection::reset`] can accept the measured pose.
 //! * [`Requester`] opens only the service for requests. So [`Requester::stop`] succeeds where a connection
 //!   may not, and falls back to a signal.
 //! * [`Connection::feed`] streams a [`Trajectory`] ahead of time, so that a late client does not affect the
