@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x8261315eb9f17e02)
+#define CDCR_LAYOUT UINT64_C(0xb084c187791ff81b)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -202,7 +202,8 @@ typedef enum CdcrOutcome {
     CDCR_OUTCOME_TOO_FAR = 25, /* the reference is farther from the tip than motion.approach_distance_m */
     CDCR_OUTCOME_CABLE_MEAN = 26, /* the mean length of a section's cables is not that of its backbone */
     CDCR_OUTCOME_IN_THE_FUTURE = 27, /* a time is in the future */
-    CDCR_OUTCOME_POSE_DIFFERS = 28 /* the robot is measured far from where its last command left it */
+    CDCR_OUTCOME_POSE_DIFFERS = 28, /* the robot is measured far from where its last command left it */
+    CDCR_OUTCOME_BEYOND_TURN = 29 /* a bend is larger than a full turn */
 } CdcrOutcome;
 
 typedef enum CdcrReason {
@@ -665,7 +666,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v13, 2248 bytes. */
+/* cdcr.Status.v14, 2256 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -712,71 +713,71 @@ typedef struct CdcrStatus {
     uint64_t obstacles_refused;
     /* 240: one for each CdcrOutcome from 0 on. Input messages by their Outcome, index = code; 0 counts the accepted
      * ones. */
-    uint64_t outcomes[29];
-    /* 472: When since_reset began [ns, CLOCK_MONOTONIC]: the start, or the last reset. */
+    uint64_t outcomes[30];
+    /* 480: When since_reset began [ns, CLOCK_MONOTONIC]: the start, or the last reset. */
     uint64_t statistics_since_ns;
-    /* 480: Statistics since the start, or since a client reset them. */
+    /* 488: Statistics since the start, or since a client reset them. */
     CdcrStatistics since_reset;
-    /* 936: Statistics of the last minute, in steps of ten seconds: 50 to 60 s. */
+    /* 944: Statistics of the last minute, in steps of ten seconds: 50 to 60 s. */
     CdcrStatistics last_minute;
-    /* 1392: Holder of the reference lease; 0: nobody. */
+    /* 1400: Holder of the reference lease; 0: nobody. */
     uint64_t lease_holder;
-    /* 1400: Last time of the buffered reference [ns, CLOCK_MONOTONIC]; 0: none. */
+    /* 1408: Last time of the buffered reference [ns, CLOCK_MONOTONIC]; 0: none. */
     uint64_t reference_end_ns;
-    /* 1408: Points of the buffered reference that are still ahead. */
+    /* 1416: Points of the buffered reference that are still ahead. */
     uint32_t reference_points;
-    /* 1412: Obstacles of the newest cycle. */
+    /* 1420: Obstacles of the newest cycle. */
     uint32_t obstacle_count;
-    /* 1416: Smallest clearance in the newest cycle [m]: the smaller of that by the estimate, as in Telemetry, and
+    /* 1424: Smallest clearance in the newest cycle [m]: the smaller of that by the estimate, as in Telemetry, and
      * that by the measured bends. Infinite without obstacles. */
     double clearance_m;
-    /* 1424: How far the tip may be from where the bends place it [m], as in Telemetry: that much thicker the body
+    /* 1432: How far the tip may be from where the bends place it [m], as in Telemetry: that much thicker the body
      * counts in clearance_m. */
     double tip_margin_m;
-    /* 1432: The robot. */
+    /* 1440: The robot. */
     CdcrRobotDescription robot;
-    /* 1752: The solver's settings. */
+    /* 1760: The solver's settings. */
     CdcrSolverSettings settings;
-    /* 1920: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
+    /* 1928: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
      * the configuration sets no cycle.miss_limit. */
     uint64_t misses_tolerated;
-    /* 1928: Position of the tip in the newest cycle [m], as in Telemetry. */
+    /* 1936: Position of the tip in the newest cycle [m], as in Telemetry. */
     double tip_position_m[3];
-    /* 1952: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
+    /* 1960: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
     double position_error_m;
-    /* 1960: Position of the reference in the newest cycle [m]; NaN without one. */
+    /* 1968: Position of the reference in the newest cycle [m]; NaN without one. */
     double reference_position_m[3];
-    /* 1984: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
+    /* 1992: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
      * what the model is off by. NaN without a reference or such a sensor. */
     double measured_error_m;
-    /* 1992: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
+    /* 2000: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
     double following_error_rad[6];
-    /* 2040: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
+    /* 2048: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
     double following_error_m[18];
-    /* 2184: Cycles in which the following error was above the warning. */
+    /* 2192: Cycles in which the following error was above the warning. */
     uint64_t following_warnings;
-    /* 2192: CdcrInterface. */
+    /* 2200: CdcrInterface. */
     uint32_t interface;
-    /* 2196: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
+    /* 2204: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
      * not. */
     uint32_t reset_refused_by;
-    /* 2200: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
+    /* 2208: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
     double safe_distance_min_m;
-    /* 2208: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
+    /* 2216: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
      * watched. */
     uint64_t obstacle_source_timeout_ns;
-    /* 2216: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
+    /* 2224: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
      * 0: none is silent. */
     uint64_t silent_obstacle_source;
-    /* 2224: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
+    /* 2232: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
      * the daemon stood still. */
     uint64_t silent_since_ns;
-    /* 2232: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
+    /* 2240: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
     double rate_weight_auto;
-    /* 2240: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
+    /* 2248: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
     uint64_t tip_measured_ns;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2248);
+CDCR_ASSERT_SIZE(CdcrStatus, 2256);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {

@@ -19,6 +19,9 @@ pub fn remedy(outcome: Outcome) -> &'static str {
             "Send each cable in m, from the first section on, as long as on the straight robot plus its stroke \
              (docs/drivers.md, Zero); check robot.sections in the configuration."
         }
+        Outcome::BeyondTurn => {
+            "Send bends in rad, not in degrees: 90 degrees are 1.5708 rad (docs/drivers.md, Frames, angles, signs)."
+        }
         Outcome::OutOfReach => {
             "Scale or move the reference into the ball whose radius is the robot's length; positions are in m: 150 mm are 0.15."
         }

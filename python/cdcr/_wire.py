@@ -259,6 +259,8 @@ class Outcome(Code):
     """A time is in the future."""
     POSE_DIFFERS = 28
     """The robot is measured far from where its last command left it."""
+    BEYOND_TURN = 29
+    """A bend is larger than a full turn."""
 
 
 class Reason(Code):

@@ -306,6 +306,8 @@ wire_enum! {
         InTheFuture = 27: "a time is in the future",
         /// A reset without `accepts_pose`: a section is measured more than 0.2 rad from where the last command left it.
         PoseDiffers = 28: "the robot is measured far from where its last command left it",
+        /// A first bend of a driver beyond 2π rad.
+        BeyondTurn = 29: "a bend is larger than a full turn",
     }
 }
 

@@ -106,7 +106,7 @@ message! {
     }
 
     /// The latest snapshot of the daemon for late joiners, published ten times a second.
-    pub struct Status "cdcr.Status.v13" {
+    pub struct Status "cdcr.Status.v14" {
         /// The daemon, sequence, time.
         header: Header,
         /// Name of the robot, as in the service names.

@@ -80,18 +80,18 @@ crate::parameters! {
         /// Damping of the Gauss-Newton steps, {range}.
         damping: f64 = 1e-14, in ranges::DAMPING;
         /// Weight of the squared position error in the cost (Eq. 5), per m², {range}.
-        position_weight: f64 = 1.0, in ranges::POSITION_WEIGHT;
+        position_weight: f64 = 1.0, in ranges::POSITION_WEIGHT, usual 1e-3..=1e6;
         /// Weight of the squared orientation error, per rad², {range}, where the reference asks for an orientation.
-        orientation_weight: f64 = 0.1, in ranges::WEIGHT;
+        orientation_weight: f64 = 0.1, in ranges::WEIGHT, usual 0.0..=1e3;
         /// Orientation error without cost, {range}.
         orientation_tolerance_rad: f64 = 0.0, in ranges::ORIENTATION_TOLERANCE_RAD;
         /// Weight of the squared rates, per (rad/s)², {range}, or "auto": 0, as in the paper, for the ideal simulated robot, and
         /// 1e-10 for all others. With 0, sensor noise makes a robot of several sections drift around its tip.
-        rate_weight: RateWeight = RateWeight::Auto, in ranges::WEIGHT;
+        rate_weight: RateWeight = RateWeight::Auto, in ranges::WEIGHT, usual 0.0..=0.01;
         /// Weight of the squared changes of rates, per (rad/s)², {range}.
-        rate_change_weight: f64 = 0.0, in ranges::WEIGHT;
+        rate_change_weight: f64 = 0.0, in ranges::WEIGHT, usual 0.0..=0.01;
         /// Factor on the error cost of the last step, {range}.
-        terminal_weight: f64 = 1.0, in ranges::WEIGHT, "above 0 where controller.horizon_steps is 1";
+        terminal_weight: f64 = 1.0, in ranges::WEIGHT, usual 0.0..=1e4, "above 0 where controller.horizon_steps is 1";
         /// Safe distance between body and obstacles, {range}: the clearance guard lets no command bring it nearer.
         /// Clients can set a larger value at run time, not a smaller one.
         safe_distance_m: f64 = 0.01, in ranges::SAFE_DISTANCE_M;

@@ -1,3 +1,5 @@
+use std::f64::consts::TAU;
+
 use cdcr_controller::estimator::Measurement as Measured;
 use cdcr_controller::robot::Robot;
 use cdcr_shared_types::Measurement;
@@ -184,6 +186,13 @@ impl Measurements {
             && let Some(section) = robot.section_of_foreign_cables(lengths_m)
         {
             return Err(Refused::at(Outcome::CableMean, 3 * section));
+        }
+        // Later, a bend beyond its limit is a fault that names it.
+        if let Measured::Configuration(bends) = &timed.measurement
+            && is_first
+            && let Some(index) = bends.as_slice().iter().position(|bend| bend.abs() > TAU)
+        {
+            return Err(Refused::at(Outcome::BeyondTurn, index));
         }
         Ok(timed)
     }

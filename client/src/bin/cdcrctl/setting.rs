@@ -90,11 +90,19 @@ impl Setting {
         if self == BUDGET {
             return Some(BUDGET_MS);
         }
+        self.declared()?.range.clone()
+    }
+
+    fn declared(self) -> Option<&'static Parameter> {
         let mut declared = NmpcSettings::PARAMETERS.iter();
-        declared
-            .find(|parameter| parameter.name == self.key)?
-            .range
-            .clone()
+        declared.find(|parameter| parameter.name == self.key)
+    }
+
+    /// What to ask about its value, if that is probably not meant.
+    pub(crate) fn doubt(self, settings: SolverSettings) -> Option<String> {
+        let value = self.json(settings).as_f64()?;
+        let doubt = self.declared()?.doubt(value)?;
+        Some(format!("{} = {}: {doubt}", self.key, self.text(settings)))
     }
 
     /// Text of the accepted values for this daemon.
@@ -286,6 +294,21 @@ mod tests {
             let error = Change::parse(text).expect_err(text);
             assert!(error.contains(part), "{part} in {error}");
         }
+    }
+
+    #[test]
+    fn only_an_unusual_value_is_doubted() {
+        let mut settings = SolverSettings {
+            position_weight: 1.0,
+            ..SolverSettings::default()
+        };
+        let doubts = |settings| Setting::all().filter_map(move |setting| setting.doubt(settings));
+        assert_eq!(doubts(settings).collect::<Vec<_>>(), [""; 0]);
+        Change::parse("rate_weight=1e12")
+            .expect("legal")
+            .apply(&mut settings);
+        let doubts: Vec<_> = doubts(settings).collect();
+        assert_eq!(doubts, ["rate_weight = 1e12: usual is 0 to 0.01"]);
     }
 
     #[test]

@@ -41,7 +41,15 @@ pub(crate) fn run(target: &Target, options: &SettingsOptions) -> anyhow::Result<
         Format::Json => serde_json::to_string_pretty(&object(settings))? + "\n",
     };
     std::io::stdout().write_all(shown.as_bytes())?;
+    warn_of(Setting::all(), settings);
     Ok(Done::Good)
+}
+
+/// Warns of values beyond what their declarations call usual, as `cdcrd check` does.
+fn warn_of(of: impl Iterator<Item = Setting>, settings: SolverSettings) {
+    for doubt in of.filter_map(|setting| setting.doubt(settings)) {
+        tell!("warning: {doubt}");
+    }
 }
 
 fn table(settings: SolverSettings, status: &Status) -> Result<String, std::fmt::Error> {
@@ -104,6 +112,7 @@ fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
         "settings: accepted, in effect after cycle {}",
         response.cycle
     )?;
+    warn_of(changed(before, after), after);
     if after.budget_ns > 0
         && let Some(solve_ns) = longest_cut_solve_ns(connection, response.cycle)?
     {

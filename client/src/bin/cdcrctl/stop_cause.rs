@@ -24,10 +24,11 @@ pub(crate) fn status_remedy(status: &Status) -> Option<String> {
 }
 
 /// Outcomes of a measurement. Those that other messages have, too, are left out where such messages are common.
-const OF_MEASUREMENTS: [Outcome; 7] = [
+const OF_MEASUREMENTS: [Outcome; 8] = [
     Outcome::InThePast,
     Outcome::InTheFuture,
     Outcome::CableMean,
+    Outcome::BeyondTurn,
     Outcome::WrongRobot,
     Outcome::WrongInterface,
     Outcome::OtherDriver,

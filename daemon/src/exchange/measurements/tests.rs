@@ -28,11 +28,12 @@ impl Rig {
         self.take_cables(sender_id, kind, [0.0; CABLES_MAX])
     }
 
+    /// `values`: lengths of cables, or bends.
     fn take_cables(
         &mut self,
         sender_id: u64,
         kind: MeasurementKind,
-        cable_length_m: [f64; CABLES_MAX],
+        values: [f64; CABLES_MAX],
     ) -> Outcome {
         self.now_ns += 1_000_000;
         let message = Measurement {
@@ -45,7 +46,8 @@ impl Rig {
             interface: Interface::Velocity.code(),
             sections: 3,
             tip_position_m: [0.0, 0.0, 0.8],
-            cable_length_m,
+            cable_length_m: values,
+            bend_rad: core::array::from_fn(|i| values[i]),
             ..Measurement::default()
         };
         let arrival = Arrival {
@@ -103,6 +105,21 @@ fn first_cables_of_another_robot_unit_or_order_are_refused() {
     rig.desk.driver = BoundSender::new(0);
     assert_eq!(rig.take_cables(2, CABLES, swapped_m), Outcome::CableMean);
     assert_eq!(rig.take_cables(2, CABLES, good_m), Outcome::Accepted);
+}
+
+/// Degrees in place of radians are seen at once, unless the robot is nearly straight.
+#[test]
+fn first_bends_beyond_a_full_turn_are_refused() {
+    let mut rig = Rig::new("");
+    let bent = |bend: f64| core::array::from_fn(|i| if i == 3 { bend } else { 0.1 });
+    for bend in [-90.0, 6.3] {
+        assert_eq!(rig.take_cables(1, BENDS, bent(bend)), Outcome::BeyondTurn);
+    }
+    assert_eq!(rig.newest().0, None);
+    for bend in [-6.2, 90.0] {
+        // The second one is a fault of the cycle, which names its place.
+        assert_eq!(rig.take_cables(1, BENDS, bent(bend)), Outcome::Accepted);
+    }
 }
 
 #[test]
