@@ -98,11 +98,11 @@ impl Setting {
         declared.find(|parameter| parameter.name == self.key)
     }
 
-    /// What to ask about its value, if that is probably not meant.
-    pub(crate) fn doubt(self, settings: SolverSettings) -> Option<String> {
+    /// What to ask about a value that is probably not meant.
+    pub(crate) fn warning(self, settings: SolverSettings) -> Option<String> {
         let value = self.json(settings).as_f64()?;
-        let doubt = self.declared()?.doubt(value)?;
-        Some(format!("{} = {}: {doubt}", self.key, self.text(settings)))
+        let warning = self.declared()?.warning(value)?;
+        Some(format!("{} = {}: {warning}", self.key, self.text(settings)))
     }
 
     /// Text of the accepted values for this daemon.
@@ -297,18 +297,19 @@ mod tests {
     }
 
     #[test]
-    fn only_an_unusual_value_is_doubted() {
+    fn only_an_unusual_value_has_a_warning() {
         let mut settings = SolverSettings {
             position_weight: 1.0,
             ..SolverSettings::default()
         };
-        let doubts = |settings| Setting::all().filter_map(move |setting| setting.doubt(settings));
-        assert_eq!(doubts(settings).collect::<Vec<_>>(), [""; 0]);
+        let warnings =
+            |settings| Setting::all().filter_map(move |setting| setting.warning(settings));
+        assert_eq!(warnings(settings).collect::<Vec<_>>(), [""; 0]);
         Change::parse("rate_weight=1e12")
             .expect("legal")
             .apply(&mut settings);
-        let doubts: Vec<_> = doubts(settings).collect();
-        assert_eq!(doubts, ["rate_weight = 1e12: usual is 0 to 0.01"]);
+        let warnings: Vec<_> = warnings(settings).collect();
+        assert_eq!(warnings, ["rate_weight = 1e12: usual is 0 to 0.01"]);
     }
 
     #[test]

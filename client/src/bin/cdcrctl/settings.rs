@@ -47,8 +47,8 @@ pub(crate) fn run(target: &Target, options: &SettingsOptions) -> anyhow::Result<
 
 /// Warns of values beyond what their declarations call usual, as `cdcrd check` does.
 fn warn_of(of: impl Iterator<Item = Setting>, settings: SolverSettings) {
-    for doubt in of.filter_map(|setting| setting.doubt(settings)) {
-        tell!("warning: {doubt}");
+    for warning in of.filter_map(|setting| setting.warning(settings)) {
+        tell!("warning: {warning}");
     }
 }
 

@@ -302,11 +302,11 @@ fn saved_settings_are_those_of_the_next_daemon() {
 #[test]
 fn a_weight_that_is_probably_not_meant_is_a_warning() {
     let daemon = Daemon::start(PATIENT);
-    let doubt = "warning: rate_weight = 1e12: usual is 0 to 0.01";
+    let warning = "warning: rate_weight = 1e12: usual is 0 to 0.01";
     for words in [&["settings", "set", "rate_weight=1e12"][..], &["settings"]] {
         let output = daemon.place().cdcrctl(words);
         let said = text(&output);
-        assert!(output.status.success() && said.contains(doubt), "{said}");
+        assert!(output.status.success() && said.contains(warning), "{said}");
     }
 }
 
