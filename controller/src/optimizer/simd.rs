@@ -55,8 +55,8 @@ impl Simd {
     /// Runs `work` compiled for this instruction set, or for the portable one if the processor does not
     /// support it.
     ///
-    /// `work` is large and fully inlined. Each type of it is compiled once for each instruction set, which takes
-    /// time: the swarm's, and the smoother's for each number of sections.
+    /// `work` is large and fully inlined. Each type of it, one for the swarm, is compiled once for each instruction set,
+    /// which takes time.
     #[cfg(target_arch = "x86_64")]
     pub(super) fn run<R>(self, work: impl WithSimd<Output = R>) -> R {
         if self == Self::Avx512
@@ -64,7 +64,13 @@ impl Simd {
         {
             return avx512::run(processor, work);
         }
-        if self == Self::Avx2
+        self.run_narrow(work)
+    }
+
+    /// As [`Self::run`], with AVX2 in the place of AVX-512: for the smoother, whose short rows take longer with AVX-512.
+    #[cfg(target_arch = "x86_64")]
+    pub(super) fn run_narrow<R>(self, work: impl WithSimd<Output = R>) -> R {
+        if matches!(self, Self::Avx2 | Self::Avx512)
             && let Some(processor) = pulp::x86::V3::try_new()
         {
             return avx2::run(processor, work);
@@ -75,6 +81,11 @@ impl Simd {
     #[cfg(not(target_arch = "x86_64"))]
     pub(super) fn run<R>(self, work: impl WithSimd<Output = R>) -> R {
         portable::run(work)
+    }
+
+    #[cfg(not(target_arch = "x86_64"))]
+    pub(super) fn run_narrow<R>(self, work: impl WithSimd<Output = R>) -> R {
+        self.run(work)
     }
 }
 

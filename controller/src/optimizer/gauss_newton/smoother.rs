@@ -150,12 +150,12 @@ impl Smoother {
             budget,
         };
         match model.stages().width() {
-            2 => simd.run(OfWidth::<2, 4>(sweep)),
-            4 => simd.run(OfWidth::<4, 8>(sweep)),
-            6 => simd.run(OfWidth::<6, 12>(sweep)),
-            8 => simd.run(OfWidth::<8, 16>(sweep)),
-            10 => simd.run(OfWidth::<10, 20>(sweep)),
-            _ => simd.run(OfWidth::<12, 24>(sweep)),
+            2 => simd.run_narrow(OfWidth::<2, 4>(sweep)),
+            4 => simd.run_narrow(OfWidth::<4, 8>(sweep)),
+            6 => simd.run_narrow(OfWidth::<6, 12>(sweep)),
+            8 => simd.run_narrow(OfWidth::<8, 16>(sweep)),
+            10 => simd.run_narrow(OfWidth::<10, 20>(sweep)),
+            _ => simd.run_narrow(OfWidth::<12, 24>(sweep)),
         }
     }
 
