@@ -54,11 +54,9 @@ impl Horizon {
     }
 
     /// Steps of each block.
-    pub(super) fn lengths(&self) -> impl Iterator<Item = f64> {
-        let firsts = self.first_step[..self.blocks]
-            .iter()
-            .map(|&first| f64::from(first));
-        let ends = firsts.clone().skip(1).chain([self.steps as f64]);
+    pub(super) fn lengths(&self) -> impl Iterator<Item = u8> {
+        let firsts = self.first_step[..self.blocks].iter().copied();
+        let ends = firsts.clone().skip(1).chain([self.steps as u8]);
         firsts.zip(ends).map(|(first, end)| end - first)
     }
 

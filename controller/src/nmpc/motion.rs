@@ -114,15 +114,21 @@ impl<'a> Motion<'a> {
     /// W rollouts at the start.
     #[inline(always)]
     pub(super) fn start<const W: usize, const P: usize>(&self) -> Bends<W, P> {
+        self.start_of(self.width)
+    }
+
+    /// The same by a caller that knows the width.
+    #[inline(always)]
+    pub(super) fn start_of<const W: usize, const P: usize>(&self, width: usize) -> Bends<W, P> {
         let zero = Wide::splat(0.0);
         let mut bends = Bends {
             bend_rad: [zero; COORDINATES_MAX],
             polar: [[zero; 3]; P],
         };
-        for i in 0..self.width {
+        for i in 0..width {
             bends.bend_rad[i] = Wide::splat(self.start_rad[i]);
         }
-        for section in 0..P.min(self.width / 2) {
+        for section in 0..P.min(width / 2) {
             for i in 0..3 {
                 bends.polar[section][i] = Wide::splat(self.polar[section][i]);
             }
@@ -138,11 +144,23 @@ impl<'a> Motion<'a> {
         z: &impl Fn(usize) -> Wide<W>,
         step: usize,
     ) {
+        self.advance_of(self.width, bends, z, step);
+    }
+
+    /// The same by a caller that knows the width.
+    #[inline(always)]
+    pub(super) fn advance_of<const W: usize, const P: usize>(
+        &self,
+        width: usize,
+        bends: &mut Bends<W, P>,
+        z: &impl Fn(usize) -> Wide<W>,
+        step: usize,
+    ) {
         if P == VECTORS {
-            return self.advance_vectors(&mut bends.bend_rad, z, step);
+            return self.advance_vectors(width, &mut bends.bend_rad, z, step);
         }
-        let first = self.horizon.block_of(step) * self.width;
-        for section in 0..self.width / 2 {
+        let first = self.horizon.block_of(step) * width;
+        for section in 0..width / 2 {
             let [theta, cos, sin] = &mut bends.polar[section];
             *theta = *theta + z(first + 2 * section) * self.period_s;
             let turn = z(first + 2 * section + 1) * self.period_s;
@@ -155,12 +173,13 @@ impl<'a> Motion<'a> {
     #[inline(always)]
     fn advance_vectors<const W: usize>(
         &self,
+        width: usize,
         bend_rad: &mut [Wide<W>; COORDINATES_MAX],
         z: &impl Fn(usize) -> Wide<W>,
         step: usize,
     ) {
-        let first = self.horizon.block_of(step) * self.width;
-        for i in 0..self.width {
+        let first = self.horizon.block_of(step) * width;
+        for i in 0..width {
             bend_rad[i] = bend_rad[i] + z(first + i) * self.period_s;
         }
     }
@@ -195,7 +214,9 @@ impl<'a> Motion<'a> {
         let control = |i: usize| Wide([z[i]]);
         match self.coordinates {
             Coordinates::BendAngles => self.advance(bent, &control, step),
-            Coordinates::BendVector => self.advance_vectors(&mut bent.bend_rad, &control, step),
+            Coordinates::BendVector => {
+                self.advance_vectors(self.width, &mut bent.bend_rad, &control, step);
+            }
         }
     }
 

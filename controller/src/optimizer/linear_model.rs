@@ -1,6 +1,10 @@
 //! Linear model of a problem at one point: residuals, Jacobian and linearised constraints.
 
+mod rows;
+
 use std::collections::BinaryHeap;
+
+use rows::Rows;
 
 use super::products::{add_times, dot, with_known_size};
 use super::{Budget, Stages, VIOLATIONS};
@@ -15,14 +19,6 @@ pub(crate) struct RowStage {
     pub(crate) periods: f64,
 }
 
-/// Values with their derivatives.
-#[derive(Debug)]
-struct Rows {
-    values: Vec<f64>,
-    derivatives: Vec<f64>,
-    row_stages: Vec<RowStage>,
-}
-
 impl RowStage {
     /// For rows that depend on a single block, or have no stage.
     pub(crate) const FIRST_BLOCK: Self = Self {
@@ -30,31 +26,6 @@ impl RowStage {
         since_start: true,
         periods: 1.0,
     };
-}
-
-impl Rows {
-    fn with_capacity(rows: usize, columns: usize) -> Self {
-        Self {
-            values: Vec::with_capacity(rows),
-            derivatives: Vec::with_capacity(rows * columns),
-            row_stages: Vec::with_capacity(rows),
-        }
-    }
-
-    fn truncate(&mut self, rows: usize, stride: usize) {
-        self.values.truncate(rows);
-        self.derivatives.truncate(rows * stride);
-        self.row_stages.truncate(rows);
-    }
-
-    /// Adds a row with zero derivatives.
-    fn push(&mut self, value: f64, stage: RowStage, stride: usize) -> &mut [f64] {
-        let start = self.derivatives.len();
-        self.values.push(value);
-        self.row_stages.push(stage);
-        self.derivatives.resize(start + stride, 0.0);
-        &mut self.derivatives[start..]
-    }
 }
 
 /// Residuals r, Jacobian J and linearised constraints h + A Δ ≥ 0 at one point.
@@ -127,7 +98,14 @@ impl LinearModel {
 
     /// Adds a residual with its derivatives with respect to the state, to which the unknowns are rates.
     /// Adding rows in the order of their blocks is fastest.
+    #[inline(never)]
     pub(crate) fn push(&mut self, residual: f64, derivatives: &[f64], stage: RowStage) {
+        self.push_known(residual, derivatives, stage);
+    }
+
+    /// The same inside a caller that knows the number of derivatives.
+    #[inline(always)]
+    pub(crate) fn push_known(&mut self, residual: f64, derivatives: &[f64], stage: RowStage) {
         self.cost_rows += 1;
         let row = self.residuals.push(residual, stage, self.stride);
         fill(row, derivatives, stage, &self.stages, self.is_staged);
@@ -144,8 +122,11 @@ impl LinearModel {
     pub(crate) fn push_dense(&mut self, residual: f64) -> &mut [f64] {
         debug_assert!(!self.is_staged, "a row of no place");
         self.cost_rows += 1;
-        self.residuals
-            .push(residual, RowStage::FIRST_BLOCK, self.stride)
+        let row = self
+            .residuals
+            .push(residual, RowStage::FIRST_BLOCK, self.stride);
+        row.fill(0.0);
+        row
     }
 
     /// Adds a constraint h + A Δ ≥ 0 of a kind (below [`VIOLATIONS`]), with derivatives as in [`Self::push`].
@@ -178,7 +159,6 @@ impl LinearModel {
             index = freed;
             rows.values[index] = h;
             rows.row_stages[index] = stage;
-            rows.derivatives[index * self.stride..][..self.stride].fill(0.0);
         }
         self.heaps_by_slack[kind].push((order, index));
         let row = &mut rows.derivatives[index * self.stride..][..self.stride];
@@ -238,15 +218,15 @@ impl LinearModel {
 
     /// Removes all constraints.
     pub(super) fn clear_constraints(&mut self) {
-        self.residuals.truncate(self.cost_rows, self.stride);
-        self.constraints.truncate(0, 0);
+        self.residuals.truncate(self.cost_rows);
+        self.constraints.truncate(0);
         self.heaps_by_slack.iter_mut().for_each(BinaryHeap::clear);
         self.is_active.clear();
     }
 
     /// Makes all constraints inactive.
     pub(super) fn deactivate_constraints(&mut self) {
-        self.residuals.truncate(self.cost_rows, self.stride);
+        self.residuals.truncate(self.cost_rows);
         self.is_active.fill(false);
     }
 
@@ -329,7 +309,7 @@ impl LinearModel {
         constraint_weight: impl Fn(usize, f64) -> Option<(f64, f64)>,
         budget: &mut Budget<'_>,
     ) -> Option<()> {
-        self.residuals.truncate(self.cost_rows, self.stride);
+        self.residuals.truncate(self.cost_rows);
         for index in 0..self.constraints() {
             if !budget.spend(self.stride as u32) {
                 return None;
@@ -345,12 +325,11 @@ impl LinearModel {
     fn push_active(&mut self, index: usize, value: f64, scale: f64) {
         let (stride, constraints) = (self.stride, &self.constraints);
         let row = &constraints.derivatives[index * stride..][..stride];
-        self.residuals.values.push(scale * value);
-        self.residuals
-            .row_stages
-            .push(constraints.row_stages[index]);
-        let derivatives = &mut self.residuals.derivatives;
-        derivatives.extend(row.iter().map(|derivative| scale * derivative));
+        let stage = constraints.row_stages[index];
+        let active = self.residuals.push(scale * value, stage, stride);
+        for (target, derivative) in active.iter_mut().zip(row) {
+            *target = scale * derivative;
+        }
     }
 
     fn compute_prefix_sums(&mut self, step: &[f64]) {
@@ -447,8 +426,8 @@ impl LinearModel {
             if stage.block < blocks {
                 (blocks, squared_periods) = (0, 0.0);
             }
-            let lengths = self.stages.lengths().iter();
-            for length in lengths.take(stage.block).skip(blocks) {
+            for block in blocks..stage.block {
+                let length = self.stages.length(block);
                 squared_periods += length * length;
             }
             blocks = stage.block;
@@ -466,8 +445,11 @@ impl LinearModel {
 
 /// Fills a row. Dense: derivatives times the time for which each block was in force. Staged: derivatives
 /// times the period.
+#[inline(always)]
 fn fill(row: &mut [f64], derivatives: &[f64], stage: RowStage, stages: &Stages, is_staged: bool) {
-    let width = stages.width();
+    let width = derivatives.len();
+    // A row of the first block may leave out its last unknowns.
+    debug_assert!(width == stages.width() || (stage.block == 0 && !is_staged));
     if is_staged {
         for (target, derivative) in row.iter_mut().zip(derivatives) {
             *target = stages.period() * derivative;
@@ -480,7 +462,7 @@ fn fill(row: &mut [f64], derivatives: &[f64], stage: RowStage, stages: &Stages, 
         later = rest;
         let periods = match index == stage.block {
             true => stage.periods,
-            false if stage.since_start => stages.lengths()[index],
+            false if stage.since_start => stages.length(index),
             false => 0.0,
         };
         let factor = stages.period() * periods;
@@ -488,6 +470,7 @@ fn fill(row: &mut [f64], derivatives: &[f64], stage: RowStage, stages: &Stages, 
             *target = factor * derivative;
         }
     }
+    later.fill(0.0);
 }
 
 /// An integer in the order of [`f64::total_cmp`].

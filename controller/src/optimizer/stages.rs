@@ -15,17 +15,18 @@ pub(crate) struct Stages {
     width: usize,
     blocks: usize,
     period: f64,
-    lengths: [f64; BLOCKS_MAX],
+    /// Periods; bytes, because a solve copies them.
+    lengths: [u8; BLOCKS_MAX],
 }
 
 impl Stages {
     /// Blocks of `width` unknowns, each in force for the given number of periods.
-    pub(crate) fn new(width: usize, period: f64, in_force: impl Iterator<Item = f64>) -> Self {
+    pub(crate) fn new(width: usize, period: f64, in_force: impl Iterator<Item = u8>) -> Self {
         let mut stages = Self {
             width,
             blocks: 0,
             period,
-            lengths: [0.0; BLOCKS_MAX],
+            lengths: [0; BLOCKS_MAX],
         };
         for (length, periods) in stages.lengths.iter_mut().zip(in_force) {
             *length = periods;
@@ -37,7 +38,7 @@ impl Stages {
     /// Unknowns of a single stage.
     #[cfg(test)]
     pub(crate) fn one(width: usize) -> Self {
-        Self::new(width, 1.0, core::iter::once(1.0))
+        Self::new(width, 1.0, core::iter::once(1))
     }
 
     pub(crate) fn width(&self) -> usize {
@@ -57,8 +58,14 @@ impl Stages {
     }
 
     /// Periods for which each block is in force.
-    pub(crate) fn lengths(&self) -> &[f64] {
-        &self.lengths[..self.blocks]
+    pub(crate) fn lengths(&self) -> impl DoubleEndedIterator<Item = f64> + ExactSizeIterator {
+        let lengths = self.lengths[..self.blocks].iter();
+        lengths.map(|&periods| f64::from(periods))
+    }
+
+    /// Periods for which one block is in force.
+    pub(super) fn length(&self, block: usize) -> f64 {
+        f64::from(self.lengths[block])
     }
 
     /// For each block, the sum of the blocks before it, each times its length.
@@ -66,7 +73,7 @@ impl Stages {
         sums.clear();
         let mut sum = [0.0; WIDTH_MAX];
         let sum = &mut sum[..self.width];
-        for (block, length) in step.chunks_exact(self.width).zip(self.lengths) {
+        for (block, length) in step.chunks_exact(self.width).zip(self.lengths()) {
             sums.extend_from_slice(sum);
             for (sum, unknown) in sum.iter_mut().zip(block) {
                 *sum += length * unknown;

@@ -1,18 +1,38 @@
 //! Problems whose cost contains only the tip's position and the rates. Two steps at once in two lanes take as
 //! long as one.
 
-use core::ops::Range;
-
 use super::TrackingProblem;
 use crate::nmpc::motion::{Bends, VECTORS};
 use crate::nmpc::pose_error::distance_squared;
-use crate::optimizer::{Budget, Cost, Evaluation, LinearModel, Problem, RowStage};
+use crate::optimizer::{Budget, Cost, Evaluation, LinearModel, Problem};
 use crate::reference::Orientation;
-use crate::robot::{COORDINATES_MAX, TipSeries};
+use crate::robot::{COORDINATES_MAX, SectionParameters, TipSeries, tip_position_of, tip_slopes_of};
 use crate::wide::{Aligned, Wide};
 
 /// The bends at the end of two steps. After an odd number of steps the second lane is unused.
 type Pair = [Wide<2>; COORDINATES_MAX];
+
+/// An expression with the sections of a robot. Up to three are a constant number, of which the compiler makes straight
+/// code instead of loops.
+macro_rules! with_known_sections {
+    ($sections:ident, $each:expr) => {
+        match $sections.len() {
+            1 => {
+                let $sections = &$sections[..1];
+                $each
+            }
+            2 => {
+                let $sections = &$sections[..2];
+                $each
+            }
+            3 => {
+                let $sections = &$sections[..3];
+                $each
+            }
+            _ => $each,
+        }
+    };
+}
 
 /// A plain problem in bend vectors whose plans all stay near the start: the usual search problem of the
 /// swarm.
@@ -103,33 +123,45 @@ impl TrackingProblem<'_> {
         residuals: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<Evaluation<1>> {
-        let mut bends: Bends<1, P> = self.motion.start();
-        let mut pair = [Wide([0.0; 2]); COORDINATES_MAX];
-        let (control, step_ns) = (|i: usize| Wide([z[i]]), self.step_ns());
+        let sections = self.robot.sections();
+        with_known_sections!(
+            sections,
+            self.position_residuals_of::<P>(sections, z, residuals, budget)
+        )
+    }
+
+    #[inline(always)]
+    fn position_residuals_of<const P: usize>(
+        &self,
+        sections: &[SectionParameters],
+        z: &[f64],
+        residuals: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> Option<Evaluation<1>> {
+        let mut bends: Bends<1, P> = self.motion.start_of(2 * sections.len());
         let (mut cost, mut rows) = (self.regularisation_at(z), residuals.chunks_exact_mut(3));
-        let (mut first, steps) = (0, self.steps());
+        let (step_ns, steps) = (self.step_ns(), self.steps());
+        let mut first = 0;
         while first < steps {
-            let end = steps.min(first + 2);
-            for step in first..end {
+            for _ in first..steps.min(first + 2) {
                 if !budget.spend(step_ns) {
                     return None;
                 }
-                self.motion.advance(&mut bends, &control, step);
-                put(&mut pair[..self.width()], step - first, &bends.bend_rad);
             }
-            let tips = self.robot.tip_position_wide(|i| pair[i]);
-            for step in first..end {
-                let Some((error, weight)) = self.error(step, first, &tips) else {
+            let pair = self.advance_pair(sections.len(), &mut bends, z, first);
+            let tips = tip_position_of(sections, |i| pair[i]);
+            for lane in 0..2 {
+                let Some((error, weight)) = self.error(first, lane, &tips) else {
                     continue;
                 };
                 let [x, y, z] = error;
                 cost += (x * x + y * y + z * z) * weight;
-                let scale = weight.sqrt();
                 if let Some(row) = rows.next() {
+                    let scale = weight.sqrt();
                     row.copy_from_slice(&error.map(|error| scale * error));
                 }
             }
-            first = end;
+            first += 2;
         }
         Some(Evaluation::from_cost(Wide([cost])))
     }
@@ -141,64 +173,88 @@ impl TrackingProblem<'_> {
         model: &mut LinearModel,
         budget: &mut Budget<'_>,
     ) -> bool {
-        let mut pair = [Wide([0.0; 2]); COORDINATES_MAX];
-        let mut row_stages = [RowStage::FIRST_BLOCK; 2];
-        let mut bends: Bends<1, VECTORS> = self.motion.start();
-        let control = |i: usize| Wide([z[i]]);
-        let is_left = self.row_stages().enumerate().all(|(step, stage)| {
-            if !budget.spend(self.linearise_step_ns(step)) {
-                return false;
-            }
-            let (lane, end) = (step % 2, step + 1);
-            self.motion.advance(&mut bends, &control, step);
-            put(&mut pair[..self.width()], lane, &bends.bend_rad);
-            row_stages[lane] = stage;
-            if lane == 1 || end == self.steps() {
-                self.push_pair(step - lane..end, &pair, row_stages, model);
-            }
-            true
-        });
+        let sections = self.robot.sections();
+        let is_left = with_known_sections!(
+            sections,
+            self.push_position_rows_of(sections, z, model, budget)
+        );
         self.push_regularisation_rows(z, model);
         is_left
     }
 
-    fn push_pair(
+    #[inline(always)]
+    fn push_position_rows_of(
         &self,
-        steps: Range<usize>,
-        pair: &Pair,
-        row_stages: [RowStage; 2],
+        sections: &[SectionParameters],
+        z: &[f64],
         model: &mut LinearModel,
-    ) {
-        let (tips, slopes) = self.robot.tip_slopes_wide(|i| pair[i]);
-        let first = steps.start;
-        for step in steps {
-            let Some((error, weight)) = self.error(step, first, &tips) else {
-                continue;
-            };
-            let scale = weight.sqrt();
-            let stage = row_stages[step - first];
-            for axis in 0..3 {
-                let mut derivatives = [0.0; COORDINATES_MAX];
-                let derivatives = &mut derivatives[..self.width()];
-                for (derivative, slope) in derivatives.iter_mut().zip(&slopes) {
-                    *derivative = scale * slope[axis].0[step - first];
+        budget: &mut Budget<'_>,
+    ) -> bool {
+        let width = 2 * sections.len();
+        let mut bends: Bends<1, VECTORS> = self.motion.start_of(width);
+        let mut slopes = [[Wide([0.0; 2]); 3]; COORDINATES_MAX];
+        let (mut row_stages, steps) = (self.row_stages(), self.steps());
+        let mut first = 0;
+        while first < steps {
+            for step in first..steps.min(first + 2) {
+                if !budget.spend(self.linearise_step_ns(step)) {
+                    return false;
                 }
-                model.push(scale * error[axis], derivatives, stage);
             }
+            let pair = self.advance_pair(sections.len(), &mut bends, z, first);
+            let tips = tip_slopes_of(sections, |i| pair[i], &mut slopes);
+            for (lane, stage) in row_stages.by_ref().take(2).enumerate() {
+                let Some((error, weight)) = self.error(first, lane, &tips) else {
+                    continue;
+                };
+                let scale = weight.sqrt();
+                for axis in 0..3 {
+                    let mut derivatives = [0.0; COORDINATES_MAX];
+                    let derivatives = &mut derivatives[..width];
+                    for (derivative, slope) in derivatives.iter_mut().zip(&slopes) {
+                        *derivative = scale * slope[axis].0[lane];
+                    }
+                    model.push_known(scale * error[axis], derivatives, stage);
+                }
+            }
+            first += 2;
         }
+        true
     }
 
-    /// The error after `step`, where lane 0 holds the step `first`, and the weight of its square. None: no
-    /// reference.
-    fn error(&self, step: usize, first: usize, tips: &[Wide<2>; 3]) -> Option<([f64; 3], f64)> {
+    /// The bends at the end of step `first` and of the next one, to which it advances.
+    #[inline(always)]
+    fn advance_pair<const P: usize>(
+        &self,
+        sections: usize,
+        bends: &mut Bends<1, P>,
+        z: &[f64],
+        first: usize,
+    ) -> Pair {
+        let (width, control) = (2 * sections, |i: usize| Wide([z[i]]));
+        self.motion.advance_of(width, bends, &control, first);
+        let before = bends.bend_rad;
+        if first + 1 < self.steps() {
+            self.motion.advance_of(width, bends, &control, first + 1);
+        }
+        // Both lanes at once: a register is slow to load what was stored in halves.
+        let mut pair = [Wide([0.0; 2]); COORDINATES_MAX];
+        for i in 0..width {
+            pair[i] = Wide([before[i].0[0], bends.bend_rad[i].0[0]]);
+        }
+        pair
+    }
+
+    /// The error at the end of the step in a lane, where lane 0 holds the step `first`, and the weight of its square.
+    /// None: no such step, or no reference.
+    #[inline(always)]
+    fn error(&self, first: usize, lane: usize, tips: &[Wide<2>; 3]) -> Option<([f64; 3], f64)> {
+        let step = first + lane;
+        if step >= self.steps() {
+            return None;
+        }
         let target = self.target(step)?;
-        let error = [0, 1, 2].map(|axis| tips[axis].0[step - first] - target.position_m[axis]);
+        let error = [0, 1, 2].map(|axis| tips[axis].0[lane] - target.position_m[axis]);
         Some((error, self.weights(step).position))
-    }
-}
-
-fn put(pair: &mut [Wide<2>], lane: usize, bends: &[Wide<1>; COORDINATES_MAX]) {
-    for (both, bend) in pair.iter_mut().zip(bends) {
-        both.0[lane] = bend.0[0];
     }
 }

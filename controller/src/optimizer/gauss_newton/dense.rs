@@ -158,7 +158,11 @@ impl GaussNewton {
                     return false;
                 }
                 // Some entries beside the diagonal, which nothing reads, make the row one of fours.
-                let end = dimension.min((i + 1).next_multiple_of(4));
+                let end = if dimension <= 4 {
+                    dimension
+                } else {
+                    dimension.min((i + 1).next_multiple_of(4))
+                };
                 let target = &mut gram[i * dimension..][..end];
                 add_times(derivatives[i], derivatives, target);
             }

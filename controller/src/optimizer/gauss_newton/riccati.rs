@@ -53,7 +53,7 @@ impl Riccati {
     /// Whether a sweep takes less time than a pass of the smoother, by the work that both announce.
     pub(super) fn is_faster(model: &LinearModel) -> bool {
         let (stages, constraints) = (model.stages(), model.constraints());
-        let has_unit_blocks = stages.lengths().iter().all(|length| *length == 1.0);
+        let has_unit_blocks = stages.lengths().all(|length| length == 1.0);
         let per_row = if has_unit_blocks { 1 } else { 4 };
         let rows = model.cost_rows() + constraints;
         per_row * rows > stages.unknowns() + constraints / 2
@@ -147,7 +147,7 @@ impl Riccati {
             }
         }
         group.store(&mut self.of_all);
-        let lengths = model.stages().lengths();
+        let stages = model.stages();
         let mut after = CostToGo::<W> {
             raises_weights,
             quadratic: [[0.0; W]; W],
@@ -163,13 +163,14 @@ impl Riccati {
             }
             let term_of = |i: usize| term(block * W + i);
             let at = &step[block * W..][..W];
-            if !after.eliminate(of_block, lengths[block], at, term_of) {
+            if !after.eliminate(of_block, stages.length(block), at, term_of) {
                 return Some(false);
             }
         }
         let mut state = [0.0; W];
         let blocks = self.of_all.chunks_exact(stride(W));
-        for ((of_block, step), length) in blocks.zip(step.chunks_exact_mut(W)).zip(lengths) {
+        for ((of_block, step), length) in blocks.zip(step.chunks_exact_mut(W)).zip(stages.lengths())
+        {
             if !budget.spend((W * W) as u32) {
                 return None;
             }
@@ -378,7 +379,7 @@ mod tests {
     fn model(width: usize) -> LinearModel {
         let unknowns = BLOCKS * width;
         let mut model = LinearModel::with_capacity(60, 60, unknowns, unknowns);
-        model.clear(&Stages::new(width, 0.5, [1.0, 2.0, 1.0].into_iter()), true);
+        model.clear(&Stages::new(width, 0.5, [1, 2, 1].into_iter()), true);
         model.weight_unknowns(1e-3, &vec![0.2; unknowns]);
         for i in 0..12 {
             let stage = RowStage {

@@ -163,9 +163,9 @@ impl Smoother {
     fn sort(&mut self, model: &LinearModel) {
         let blocks = model.stages().blocks();
         self.begins[..=blocks].fill(0);
-        let lengths = model.stages().lengths().iter();
+        let lengths = model.stages().lengths();
         for (is_so, length) in self.has_end_rows_only.iter_mut().zip(lengths) {
-            *is_so = *length == 1.0;
+            *is_so = length == 1.0;
         }
         for row in 0..model.rows() {
             let stage = model.stage(row);
@@ -217,7 +217,7 @@ impl Smoother {
             } else {
                 let mut joint = state.joint_with::<D>(&prior);
                 let filtered = self.filter(model, block, damping, &mut joint, budget);
-                state = joint.after_block(model.stages().lengths()[block]);
+                state = joint.after_block(model.stages().length(block));
                 filtered
             };
             if !filtered {
@@ -230,7 +230,7 @@ impl Smoother {
                 self.backward_update(model, block, &mut adjoint);
                 adjoint
             } else {
-                let length = model.stages().lengths()[block];
+                let length = model.stages().length(block);
                 let mut joint = [0.0; D];
                 for i in 0..W {
                     (joint[i], joint[W + i]) = (adjoint[i], length * adjoint[i]);

@@ -128,7 +128,7 @@ impl Problem for Ridge {
 #[test]
 fn a_point_that_was_found_on_the_way_to_a_small_step_is_linearised() {
     let problem = Ridge {
-        stages: Stages::new(2, 1.0, [1.0, 1.0].into_iter()),
+        stages: Stages::new(2, 1.0, [1, 1].into_iter()),
     };
     let mut bounds = Bounds::with_capacity(4);
     bounds.set_symmetric([1.0, 1.0].into_iter(), 2);

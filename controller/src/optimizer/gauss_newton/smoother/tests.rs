@@ -94,8 +94,8 @@ fn bits(step: &[f64]) -> Vec<u64> {
 
 fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
     let lengths = prop_oneof![
-        prop::collection::vec(Just(1.0), 1..=8),
-        prop::collection::vec((1..=3_u8).prop_map(f64::from), 1..=5),
+        prop::collection::vec(Just(1), 1..=8),
+        prop::collection::vec(1..=3_u8, 1..=5),
     ];
     (1..=6_usize, lengths, prop_oneof![Just(0.0), 1e-4..1e-2_f64]).prop_flat_map(
         |(sections, lengths, weight)| {
@@ -115,7 +115,7 @@ fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
                             periods: if of_step {
                                 1.0
                             } else {
-                                f64::max(1.0, lengths[block] - f64::from(short))
+                                f64::from(u8::max(1, lengths[block].saturating_sub(short)))
                             },
                         },
                     },
@@ -152,12 +152,12 @@ fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
 impl Linear {
     /// The derivatives of a row with respect to all unknowns.
     fn derivatives(&self, row: &LinearRow) -> Vec<f64> {
-        let blocks = self.stages.lengths().iter().enumerate();
+        let blocks = self.stages.lengths().enumerate();
         blocks
             .flat_map(|(block, length)| {
                 let periods = match block.cmp(&row.stage.block) {
                     std::cmp::Ordering::Equal => row.stage.periods,
-                    std::cmp::Ordering::Less if row.stage.since_start => *length,
+                    std::cmp::Ordering::Less if row.stage.since_start => length,
                     _ => 0.0,
                 };
                 row.derivatives.iter().map(move |d| 0.1 * periods * d)
@@ -277,7 +277,7 @@ fn a_number_that_is_not_finite_and_a_spent_budget_give_no_step() {
         },
     };
     let problem = |value| Linear {
-        stages: Stages::new(2, 0.1, [1.0; 4].into_iter()),
+        stages: Stages::new(2, 0.1, [1; 4].into_iter()),
         is_staged: true,
         residuals: vec![row(value)],
         constraints: vec![],
