@@ -28,6 +28,8 @@ pub(super) struct TrackingProblem<'a> {
     bounds: &'a Bounds,
     reference: &'a [ReferenceSample],
     stages: Stages,
+    /// Whether no orientation has a weight.
+    follows_positions: bool,
     /// Whether reference and settings allow [`Self::is_position_only`].
     has_position_only_cost: bool,
 }
@@ -71,8 +73,10 @@ impl<'a> TrackingProblem<'a> {
                 motion.period_s(),
                 motion.horizon().lengths(),
             ),
+            follows_positions: false,
             has_position_only_cost: false,
         };
+        problem.follows_positions = problem.has_no_orientation_weight();
         problem.has_position_only_cost = problem.allows_position_only();
         problem
     }
@@ -425,7 +429,10 @@ impl Problem for TrackingProblem<'_> {
     }
 
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
-        if self.is_position_only() && self.motion.coordinates() == Coordinates::BendVector {
+        if self.follows_positions
+            && self.is_free()
+            && self.motion.coordinates() == Coordinates::BendVector
+        {
             return self.push_position_rows(z, model, budget);
         }
         let is_left = self.for_each_step(z, |_, at| {

@@ -44,7 +44,7 @@ pub(in crate::nmpc) struct PositionOnly<'a> {
 
 impl<'a> PositionOnly<'a> {
     pub(in crate::nmpc) fn new(problem: &'a TrackingProblem<'a>) -> Option<Self> {
-        if !(problem.is_free() && problem.follows_positions()) {
+        if !(problem.is_free() && problem.follows_positions) {
             return None;
         }
         Some(Self {
@@ -99,11 +99,11 @@ impl TrackingProblem<'_> {
     /// Whether the cost without obstacles and limits contains only the tip's position and the rates, and the
     /// rows are not staged.
     pub(super) fn allows_position_only(&self) -> bool {
-        !self.is_staged() && self.settings.rate_change_weight == 0.0 && self.follows_positions()
+        !self.is_staged() && self.settings.rate_change_weight == 0.0 && self.follows_positions
     }
 
     /// Whether no orientation has a weight.
-    pub(super) fn follows_positions(&self) -> bool {
+    pub(super) fn has_no_orientation_weight(&self) -> bool {
         (0..self.steps()).all(|step| {
             let target = self.target(step).map(|target| target.orientation);
             matches!(target, None | Some(Orientation::Free))
