@@ -26,6 +26,7 @@ use crate::handover::{
     ChangedSettings, CycleEnds, ExchangeEnds, ReporterEnds, Settings, Shared, channels,
 };
 use crate::instance::Instance;
+use crate::kept_obstacles::KeptObstacles;
 use crate::latch::Latch;
 use crate::link::RobotLink;
 use crate::reload::{ReadConfig, Reload};
@@ -122,7 +123,8 @@ fn run_with(
         abandon_threads([reporter]);
         return Err(error);
     }
-    let exchange = match spawn_exchange(validated, ends.exchange, shared, daemon_id) {
+    let kept = instance.kept_obstacles();
+    let exchange = match spawn_exchange(validated, ends.exchange, shared, daemon_id, kept) {
         Ok(exchange) => exchange,
         Err(error) => {
             abandon_threads([reporter]);
@@ -299,6 +301,7 @@ fn spawn_exchange(
     ends: ExchangeEnds,
     shared: &Arc<Shared>,
     daemon_id: u64,
+    kept: KeptObstacles,
 ) -> Result<Started> {
     let realtime = &validated.config.realtime;
     let plan = realtime.thread_plan(realtime.exchange_priority);
@@ -313,7 +316,8 @@ fn spawn_exchange(
             Ok(built) => built,
             Err(error) => return stage.fail(error.into()),
         };
-        let mut exchange = Exchange::new(&validated, ports, ends, daemon_id);
+        let exchange = Exchange::new(&validated, ports, ends, daemon_id);
+        let mut exchange = exchange.keeping(kept);
         if let Some(schedule) = stage.prepare(plan, || ()) {
             exchange.run(&schedule, &MonotonicClock, &shared);
         }

@@ -17,7 +17,9 @@ use cdcr_shared_types::Location;
 use rustix::fs::OFlags;
 use rustix::io::Errno;
 
+use crate::kept_obstacles::KeptObstacles;
 use crate::latch::Latch;
+use crate::obstacles::ObstacleSet;
 use crate::services::{ServiceError, ask_for_space, stale};
 pub(crate) use place::{Found, PlaceWatch};
 pub use root::is_in_memory;
@@ -41,6 +43,7 @@ pub struct Instance {
     /// Held as long as the process lives, even if the files are deleted.
     name: Option<Arc<UnixListener>>,
     latch: Latch,
+    obstacles: KeptObstacles,
 }
 
 /// The reason why this process may not be the daemon.
@@ -161,6 +164,7 @@ impl Instance {
         let latched = latch_file(&path);
         let latch =
             Latch::open(&latched).map_err(|cause| file_error(&latched, without_link(cause)))?;
+        let obstacles = open_obstacles(&obstacle_file(&path), latch)?;
         // Before the first node of this process, which would count as a user of the location.
         stale::sweep(location);
         Ok(Self {
@@ -171,12 +175,18 @@ impl Instance {
             locked: Arc::new(Mutex::new(locked)),
             name,
             latch,
+            obstacles,
         })
     }
 
     /// The latch of the robot's stop.
     pub(crate) fn latch(&self) -> Latch {
         self.latch
+    }
+
+    /// The robot's obstacles without a lifetime.
+    pub(crate) fn kept_obstacles(&self) -> KeptObstacles {
+        self.obstacles
     }
 
     /// The files that must remain while the daemon of `robot` runs. Call it when the services exist.
@@ -195,10 +205,17 @@ impl Drop for Instance {
             tracing::error!(path = %latched.display(), %error, "cannot store the latch: the next daemon will not know that the robot was stopped");
             false
         });
-        // Otherwise it belongs to another daemon, started after ours had been deleted.
+        let kept = obstacle_file(&self.path);
+        let is_empty = self.obstacles.leave(&kept).unwrap_or_else(|error| {
+            tracing::error!(path = %kept.display(), %error, "cannot store the obstacles: the next daemon will not know them");
+            false
+        });
+        // Otherwise they belong to another daemon, started after ours had been deleted.
         if is_file_at(&locked, &self.path) {
-            if is_free {
-                remove_if_there(&latched);
+            for (path, is_needless) in [(latched, is_free), (kept, is_empty)] {
+                if is_needless {
+                    remove_if_there(&path);
+                }
             }
             // Leftovers of killed clients that iceoryx2 does not remove.
             stale::sweep(&self.location);
@@ -210,6 +227,37 @@ impl Drop for Instance {
 /// The file beside the lock file that keeps the latch.
 fn latch_file(lock: &Path) -> PathBuf {
     lock.with_extension("latch")
+}
+
+/// The file beside the lock file that keeps the obstacles without a lifetime.
+fn obstacle_file(lock: &Path) -> PathBuf {
+    lock.with_extension("obstacles")
+}
+
+/// Opens the obstacles that the daemon before has kept in the file at `path`. If they cannot be read, a person
+/// decides: the robot stays stopped, because it may move into one of them.
+fn open_obstacles(path: &Path, latch: Latch) -> Result<KeptObstacles, InstanceError> {
+    let kept = KeptObstacles::open(path).map_err(|cause| file_error(path, without_link(cause)))?;
+    match kept.read().map(|set| set.count()) {
+        Some(0) => {}
+        Some(1) => tracing::warn!(
+            "1 obstacle of the previous daemon is kept; `cdcrctl obstacle clear` removes it"
+        ),
+        Some(count) => tracing::warn!(
+            "{count} obstacles of the previous daemon are kept; `cdcrctl obstacle clear` removes them"
+        ),
+        None => {
+            tracing::error!(
+                path = %path.display(),
+                "the obstacles of the previous daemon are lost: another version of cdcrd or another program has \
+                 written the file; add them again before `cdcrctl reset`"
+            );
+            // Before the file is overwritten: a kill in between loses neither.
+            latch.stop_asked();
+            kept.write(&ObstacleSet::default());
+        }
+    }
+    Ok(kept)
 }
 
 /// Locks the file at `path`. A daemon that ended between the opening and the locking has removed the file;

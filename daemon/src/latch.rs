@@ -1,22 +1,14 @@
 //! A stop outlives the daemon: until a reset, a word in the root folder keeps the mode and reason of a stop
 //! or a fault.
-//!
-//! The word is memory-mapped: latching or resetting the robot is a memory write, without a system call, a
-//! wait or a disk that can be full. The kernel keeps the value even if the process is killed in the next
-//! instruction. The folder is in memory, so a restart of the machine clears it.
 
-use std::fs::{DirBuilder, File, OpenOptions};
-use std::io::{Error, Result};
-use std::os::unix::fs::{DirBuilderExt, FileExt, MetadataExt, OpenOptionsExt};
+use std::io::Result;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use cdcr_shared_types::codes::{Mode, Reason};
-use rustix::fs::OFlags;
 
-use crate::rt::sys::map_word;
+use crate::mapped;
 
-const WORD_BYTES: u64 = size_of::<u64>() as u64;
 /// No stop, and no fault.
 const FREE: u64 = 0;
 
@@ -27,25 +19,7 @@ pub struct Latch(Option<&'static AtomicU64>);
 impl Latch {
     /// Opens the latch in the file at `path`; creates a missing file for the user of this process alone.
     pub fn open(path: &Path) -> Result<Self> {
-        let file = private().create(true).truncate(false).open(path)?;
-        let metadata = file.metadata()?;
-        let is_ours = metadata.uid() == rustix::process::geteuid().as_raw();
-        if !metadata.is_file() || !is_ours || metadata.nlink() > 1 {
-            return Err(Error::other(
-                "it is not a regular file of this user with a single link",
-            ));
-        }
-        // A file is shorter if its creator was killed right after creating it.
-        if metadata.len() < WORD_BYTES {
-            write(&file, FREE)?;
-        }
-        let word = map_word(&file)?;
-        // A write, so that the page is resident and no later access needs it; `fetch_or` of zero would be
-        // optimised away.
-        word.store(
-            std::hint::black_box(word.load(Ordering::Relaxed)),
-            Ordering::Relaxed,
-        );
+        let [word] = mapped::open(path)?;
         Ok(Self(Some(word)))
     }
 
@@ -78,18 +52,11 @@ impl Latch {
 
     /// Creates a deleted file again, with its folder, if the robot is latched. Returns true if it is not.
     pub(crate) fn leave(&self, path: &Path) -> Result<bool> {
-        let word = self.word();
-        if word == FREE || path.symlink_metadata().is_ok() {
-            return Ok(word == FREE);
+        let is_free = self.word() == FREE;
+        if let Some(word) = self.0.filter(|_| !is_free) {
+            mapped::make_again(path, std::slice::from_ref(word))?;
         }
-        let folder = path.parent().unwrap_or(path);
-        DirBuilder::new()
-            .recursive(true)
-            .mode(0o700)
-            .create(folder)?;
-        let file = private().create_new(true).open(path)?;
-        write(&file, word)?;
-        Ok(false)
+        Ok(is_free)
     }
 
     fn word(&self) -> u64 {
@@ -103,24 +70,8 @@ impl Latch {
     }
 }
 
-/// Options that follow no link and wait for no pipe in the file's place.
-fn private() -> OpenOptions {
-    let mut options = OpenOptions::new();
-    let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
-    options
-        .read(true)
-        .write(true)
-        .mode(0o600)
-        .custom_flags(flags);
-    options
-}
-
 fn word_of(mode: Mode, reason: Reason) -> u64 {
     u64::from(mode.code()) | u64::from(reason.code()) << 32
-}
-
-fn write(file: &File, word: u64) -> Result<()> {
-    file.write_all_at(&word.to_ne_bytes(), 0)
 }
 
 #[cfg(test)]
@@ -135,7 +86,7 @@ mod tests {
         let path = folder.path().join("root/a.latch");
         std::fs::create_dir(path.parent().unwrap()).unwrap();
         // Its creator was killed before it wrote anything.
-        File::create(&path).unwrap();
+        std::fs::File::create(&path).unwrap();
         let latch = Latch::open(&path).unwrap();
         assert_eq!(latch.describe(), None);
         assert!(latch.leave(&path).unwrap());

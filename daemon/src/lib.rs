@@ -16,6 +16,7 @@
 //! | [`obstacles`] | obstacles around the robot | their messages |
 //! | [`handover`] | data exchanged between threads | its use by the threads |
 //! | [`latch`] | state that outlives the process: a stop, a fault | causes of a stop |
+//! | [`kept_obstacles`] | obstacles that outlive the process | their messages |
 //! | [`convert`] | messages and their meaning | senders, times of sending |
 //! | [`services`] | iceoryx2: services, ports, their memory | meaning of the messages |
 //! | [`link`] | interface of a cycle to its robot | messages |
@@ -51,9 +52,11 @@ pub mod exchange;
 pub mod exit;
 pub mod handover;
 pub mod instance;
+pub mod kept_obstacles;
 pub mod latch;
 pub mod link;
 pub mod log;
+mod mapped;
 pub mod obstacles;
 pub mod reload;
 pub mod reporter;

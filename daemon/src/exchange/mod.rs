@@ -36,6 +36,7 @@ use cdcr_shared_types::limits::EVENTS_MAX;
 
 use crate::config::{Validated, ns};
 use crate::handover::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
+use crate::kept_obstacles::KeptObstacles;
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Schedule;
 use crate::rt::suspend::SuspendWatch;
@@ -147,6 +148,13 @@ impl Exchange {
             own_costs: OwnCosts::default(),
             suspend_watch: SuspendWatch::default(),
         }
+    }
+
+    /// Begins with the obstacles in `kept`, and keeps those without a lifetime there.
+    #[must_use]
+    pub fn keeping(mut self, kept: KeptObstacles) -> Self {
+        self.obstacles.keep(kept);
+        self
     }
 
     /// Runs until the cycle thread has ended and its last record is published.

@@ -4,12 +4,15 @@ use cdcr_shared_types::codes::{ObstacleAction, Outcome};
 use super::obstacle_sources::ObstacleSources;
 use crate::config::ObstaclesConfig;
 use crate::convert::{self, Refused};
+use crate::kept_obstacles::KeptObstacles;
 use crate::obstacles::ObstacleSet;
 
 /// The obstacles sent by clients, and their sources.
 #[derive(Debug)]
 pub(super) struct Obstacles {
     known: ObstacleSet,
+    /// Those of them that the next daemon will know.
+    kept: KeptObstacles,
     sources: ObstacleSources,
     /// Time at which the newest message that cleared the list was sent \[ns\].
     cleared_ns: u64,
@@ -20,10 +23,17 @@ impl Obstacles {
     pub(super) fn new(config: &ObstaclesConfig) -> Self {
         Self {
             known: ObstacleSet::default(),
+            kept: KeptObstacles::default(),
             sources: ObstacleSources::new(config),
             cleared_ns: 0,
             refused: 0,
         }
+    }
+
+    /// Begins with the obstacles of the daemon before, and keeps its own for the next.
+    pub(super) fn keep(&mut self, kept: KeptObstacles) {
+        self.known = kept.read().unwrap_or_default();
+        self.kept = kept;
     }
 
     /// Excludes the `paused_ns` after `paused_since_ns`, a time without gathers, from the silence of the sources.
@@ -80,7 +90,10 @@ impl Obstacles {
         if updated.as_ref().err().is_none_or(is_full) {
             self.sources.note_update(update, gather_ns);
         }
-        self.known = updated?;
+        let updated = updated?;
+        // Before the sender can learn that it was accepted.
+        self.kept.update(&self.known, &updated);
+        self.known = updated;
         if update.action == ObstacleAction::Clear.code() {
             self.cleared_ns = self.cleared_ns.max(update.header.sent_ns.min(now_ns));
         }

@@ -55,15 +55,15 @@ pub fn keep_freed_memory() {
     }
 }
 
-/// Maps the first eight bytes of `file`, which must have them, for the life of the process. Written values
+/// Maps the first `N` words of `file`, which must have them, for the life of the process. Written values
 /// remain in the file, however the process ends.
-pub fn map_word(file: &File) -> io::Result<&'static AtomicU64> {
+pub fn map_words<const N: usize>(file: &File) -> io::Result<&'static [AtomicU64; N]> {
     let access = libc::PROT_READ | libc::PROT_WRITE;
     // SAFETY: the kernel chooses the address, so no mapping is replaced; `file` is open for the whole call.
     let place = unsafe {
         libc::mmap(
             std::ptr::null_mut(),
-            size_of::<AtomicU64>(),
+            size_of::<[AtomicU64; N]>(),
             access,
             libc::MAP_SHARED,
             file.as_raw_fd(),
@@ -76,7 +76,7 @@ pub fn map_word(file: &File) -> io::Result<&'static AtomicU64> {
     // SAFETY: the mapping starts at a page boundary, so it is aligned. It is never removed, and any eight
     // bytes are a valid number. Only the user of this process may open the file and shorten it, which would
     // end the process with a signal, not redirect the access.
-    Ok(unsafe { &*place.cast::<AtomicU64>() })
+    Ok(unsafe { &*place.cast::<[AtomicU64; N]>() })
 }
 
 /// Reaction of the allocator to the heap operations of a thread.

@@ -3,6 +3,7 @@
 use cdcr_shared_types::codes::ObstacleAction;
 
 use super::*;
+use crate::kept_obstacles::KeptObstacles;
 use crate::obstacles::ObstacleSet;
 
 #[test]
@@ -211,4 +212,27 @@ fn a_message_that_is_repeated_or_older_than_its_writers_last_is_refused() {
     crowd[0].send_copy(older).unwrap();
     assert_eq!(rig.gather().obstacles.count(), 2);
     assert_eq!(rig.counted(Outcome::Stale), 2);
+}
+
+#[test]
+fn the_first_gather_has_the_obstacles_without_a_lifetime_of_the_daemon_before() {
+    let folder = Scratch::in_memory().unwrap();
+    let begin = || {
+        let mut rig = Rig::new("");
+        let kept = KeptObstacles::open(&folder.path().join("a.obstacles")).unwrap();
+        rig.exchange.obstacles.keep(kept);
+        let first: ObstacleSet = rig.gather().obstacles.iter().copied().collect();
+        (rig, first)
+    };
+    let (mut rig, first) = begin();
+    assert_eq!(first.count(), 0);
+    rig.send_update(4, ObstacleAction::Upsert, &[0, 50]);
+    assert_eq!(rig.gather().obstacles.count(), 2);
+    let known = *rig.exchange.obstacles.known();
+    let (mut rig, first) = begin();
+    let lasting = known.iter().filter(|known| known.expires_ns.is_none());
+    assert!(first.count() == 1 && first.iter().eq(lasting), "{first:?}");
+    rig.send_update(4, ObstacleAction::Clear, &[]);
+    rig.gather();
+    assert_eq!(begin().1.count(), 0);
 }

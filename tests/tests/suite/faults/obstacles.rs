@@ -1,6 +1,7 @@
 //! Obstacles that come too near, and too many obstacles.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
 use cdcr_client::{Connection, ObstacleSender, event_about, events, monotonic_ns};
@@ -8,7 +9,8 @@ use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind, gu
 use cdcr_shared_types::{InputEvent, Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_bad_obstacles, flood_obstacles};
 use cdcr_tests::{
-    BALL_RADIUS_M, Daemon, EndWhenDropped, PATIENT, ask_for, ball, refused, wait_status,
+    BALL_RADIUS_M, Daemon, EndWhenDropped, PATIENT, ROBOT, ask_for, ball, refused, wait_record,
+    wait_status,
 };
 
 use crate::faults::robot::Robot;
@@ -308,4 +310,101 @@ fn behind_a_driver_a_source_that_died_holds_the_robot_without_any_setting() {
     );
     assert_eq!(held.reason, Reason::ObstacleSourceSilent.code());
     assert!(held.release_ns >= seen.measured_ns + 500_000_000);
+}
+
+/// A record of the newest daemon with so many obstacles, and these.
+fn record_with(daemon: &Daemon, count: u32) -> (Telemetry, Vec<Obstacle>) {
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    let record = wait_record(&mut telemetry, |record| {
+        record.mode != Mode::Starting.code() && record.obstacle_count == count
+    });
+    let known = record.obstacles[..count as usize].to_vec();
+    (record, known)
+}
+
+fn kept_file(daemon: &Daemon) -> PathBuf {
+    let lock = daemon.place().location().lock_file(ROBOT);
+    lock.with_extension("obstacles")
+}
+
+#[test]
+fn obstacles_without_a_lifetime_outlive_the_daemon_until_they_are_removed() {
+    let mut daemon = Daemon::start(PATIENT);
+    let add = |daemon: &Daemon, options: &str, known: &str| {
+        let line = format!("cdcrctl obstacle add {options}");
+        daemon.place().says(&line, 0, &[known]);
+    };
+    let goto = |daemon: &Daemon, status: i32, parts: &[&str]| {
+        let line = "cdcrctl goto 0.1,0,0.85 --speed 0.2 --acceleration 2";
+        daemon.place().says(line, status, parts);
+    };
+    add(&daemon, "--id 1 --at 0.1,0,0.85 --radius 0.03", "1 known");
+    let moves = "--at 0.5,0,0.6 --to 0.5,0.3,0.6 --radius 0.01 --velocity 0.001,0,0";
+    add(&daemon, &format!("--id 2 {moves}"), "2 known");
+    add(
+        &daemon,
+        "--id 3 --at 0.5,0.5,0.5 --radius 0.01 --lifetime 60s",
+        "3 known",
+    );
+    goto(&daemon, 1, &["obstacle"]);
+    let (before, known) = record_with(&daemon, 3);
+    for is_killed in [true, false] {
+        if is_killed {
+            daemon.kill();
+        } else {
+            assert!(daemon.stop().success(), "{}", daemon.log());
+        }
+        daemon.restart();
+        let kept = "2 obstacles of the previous daemon are kept; `cdcrctl obstacle clear`";
+        assert!(daemon.log().contains(kept), "{}", daemon.log());
+        let (now, found) = record_with(&daemon, 2);
+        assert_eq!(found[0].start_m, known[0].start_m);
+        let moved_m = found[1].start_m[0] - known[1].start_m[0];
+        let expected_m = (now.release_ns - before.release_ns) as f64 * 1e-9 * 0.001;
+        assert!(
+            (moved_m - expected_m).abs() < 1e-12,
+            "{moved_m} m, {expected_m} m"
+        );
+        goto(&daemon, 1, &["obstacle"]);
+    }
+    daemon
+        .place()
+        .says("cdcrctl obstacle remove 1", 0, &["1 known"]);
+    daemon.kill();
+    daemon.restart();
+    assert_eq!(record_with(&daemon, 1).1[0].id, 2);
+    daemon
+        .place()
+        .says("cdcrctl obstacle clear", 0, &["0 known"]);
+    daemon.kill();
+    daemon.restart();
+    record_with(&daemon, 0);
+    goto(&daemon, 0, &[]);
+    assert!(daemon.stop().success(), "{}", daemon.log());
+    assert!(!kept_file(&daemon).exists(), "nothing is left to keep");
+}
+
+#[test]
+fn a_daemon_that_cannot_read_the_obstacles_before_it_begins_stopped() {
+    let mut daemon = Daemon::start(PATIENT);
+    let add = "cdcrctl obstacle add --id 1 --at 0.5,0,0.5 --radius 0.03";
+    daemon.place().says(add, 0, &["1 known"]);
+    daemon.kill();
+    std::fs::write(kept_file(&daemon), "of another version").unwrap();
+    // It stays stopped for a later daemon, too, although that finds a file that it can read.
+    for is_first in [true, false] {
+        daemon.restart();
+        let (stopped, _) = record_with(&daemon, 0);
+        let expected = (Mode::Stopped.code(), Reason::StoppedBefore.code());
+        assert_eq!((stopped.mode, stopped.reason), expected);
+        let lost = "the obstacles of the previous daemon are lost";
+        assert_eq!(daemon.log().contains(lost), is_first, "{}", daemon.log());
+        daemon.kill();
+    }
+    daemon.restart();
+    daemon.place().says(add, 0, &["1 known"]);
+    daemon.place().says("cdcrctl reset", 0, &[]);
+    daemon.kill();
+    daemon.restart();
+    assert_eq!(record_with(&daemon, 1).0.mode, Mode::Holding.code());
 }
