@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0xb084c187791ff81b)
+#define CDCR_LAYOUT UINT64_C(0x82c4ba8260b6dcbc)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -203,7 +203,8 @@ typedef enum CdcrOutcome {
     CDCR_OUTCOME_CABLE_MEAN = 26, /* the mean length of a section's cables is not that of its backbone */
     CDCR_OUTCOME_IN_THE_FUTURE = 27, /* a time is in the future */
     CDCR_OUTCOME_POSE_DIFFERS = 28, /* the robot is measured far from where its last command left it */
-    CDCR_OUTCOME_BEYOND_TURN = 29 /* a bend is larger than a full turn */
+    CDCR_OUTCOME_BEYOND_TURN = 29, /* a bend is larger than a full turn */
+    CDCR_OUTCOME_TIP_ELSEWHERE = 30 /* the tip is measured far from where the first bends place it */
 } CdcrOutcome;
 
 typedef enum CdcrReason {
@@ -638,8 +639,8 @@ typedef struct CdcrStatistics {
     uint64_t tip_error_max_nm;
     /* 88: Cycles of a robot behind a driver that saw no newer measurement than the cycle before. */
     uint64_t stale_measurements;
-    /* 96: Tips measured beside bends or cables that were not used: they jumped, were frozen or were more than a
-     * ninth of the robot's length from where the bends place them. */
+    /* 96: Tips that were not used: refused at their arrival, or measured beside bends or cables and implausible:
+     * they jumped, were frozen or were more than a ninth of the robot's length from where the bends place them. */
     uint64_t tips_not_used;
     /* 104: Records, with their part of the statistics, and events that were lost inside the daemon because a queue
      * was full. */
@@ -666,7 +667,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v14, 2256 bytes. */
+/* cdcr.Status.v15, 2288 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -713,71 +714,80 @@ typedef struct CdcrStatus {
     uint64_t obstacles_refused;
     /* 240: one for each CdcrOutcome from 0 on. Input messages by their Outcome, index = code; 0 counts the accepted
      * ones. */
-    uint64_t outcomes[30];
-    /* 480: When since_reset began [ns, CLOCK_MONOTONIC]: the start, or the last reset. */
+    uint64_t outcomes[31];
+    /* 488: When since_reset began [ns, CLOCK_MONOTONIC]: the start, or the last reset. */
     uint64_t statistics_since_ns;
-    /* 488: Statistics since the start, or since a client reset them. */
+    /* 496: Statistics since the start, or since a client reset them. */
     CdcrStatistics since_reset;
-    /* 944: Statistics of the last minute, in steps of ten seconds: 50 to 60 s. */
+    /* 952: Statistics of the last minute, in steps of ten seconds: 50 to 60 s. */
     CdcrStatistics last_minute;
-    /* 1400: Holder of the reference lease; 0: nobody. */
+    /* 1408: Holder of the reference lease; 0: nobody. */
     uint64_t lease_holder;
-    /* 1408: Last time of the buffered reference [ns, CLOCK_MONOTONIC]; 0: none. */
+    /* 1416: Last time of the buffered reference [ns, CLOCK_MONOTONIC]; 0: none. */
     uint64_t reference_end_ns;
-    /* 1416: Points of the buffered reference that are still ahead. */
+    /* 1424: Points of the buffered reference that are still ahead. */
     uint32_t reference_points;
-    /* 1420: Obstacles of the newest cycle. */
+    /* 1428: Obstacles of the newest cycle. */
     uint32_t obstacle_count;
-    /* 1424: Smallest clearance in the newest cycle [m]: the smaller of that by the estimate, as in Telemetry, and
+    /* 1432: Smallest clearance in the newest cycle [m]: the smaller of that by the estimate, as in Telemetry, and
      * that by the measured bends. Infinite without obstacles. */
     double clearance_m;
-    /* 1432: How far the tip may be from where the bends place it [m], as in Telemetry: that much thicker the body
+    /* 1440: How far the tip may be from where the bends place it [m], as in Telemetry: that much thicker the body
      * counts in clearance_m. */
     double tip_margin_m;
-    /* 1440: The robot. */
+    /* 1448: The robot. */
     CdcrRobotDescription robot;
-    /* 1760: The solver's settings. */
+    /* 1768: The solver's settings. */
     CdcrSolverSettings settings;
-    /* 1928: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
+    /* 1936: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
      * the configuration sets no cycle.miss_limit. */
     uint64_t misses_tolerated;
-    /* 1936: Position of the tip in the newest cycle [m], as in Telemetry. */
+    /* 1944: Position of the tip in the newest cycle [m], as in Telemetry. */
     double tip_position_m[3];
-    /* 1960: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
+    /* 1968: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
     double position_error_m;
-    /* 1968: Position of the reference in the newest cycle [m]; NaN without one. */
+    /* 1976: Position of the reference in the newest cycle [m]; NaN without one. */
     double reference_position_m[3];
-    /* 1992: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
+    /* 2000: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
      * what the model is off by. NaN without a reference or such a sensor. */
     double measured_error_m;
-    /* 2000: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
+    /* 2008: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
     double following_error_rad[6];
-    /* 2048: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
+    /* 2056: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
     double following_error_m[18];
-    /* 2192: Cycles in which the following error was above the warning. */
+    /* 2200: Cycles in which the following error was above the warning. */
     uint64_t following_warnings;
-    /* 2200: CdcrInterface. */
+    /* 2208: CdcrInterface. */
     uint32_t interface;
-    /* 2204: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
+    /* 2212: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
      * not. */
     uint32_t reset_refused_by;
-    /* 2208: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
+    /* 2216: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
     double safe_distance_min_m;
-    /* 2216: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
+    /* 2224: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
      * watched. */
     uint64_t obstacle_source_timeout_ns;
-    /* 2224: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
+    /* 2232: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
      * 0: none is silent. */
     uint64_t silent_obstacle_source;
-    /* 2232: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
+    /* 2240: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
      * the daemon stood still. */
     uint64_t silent_since_ns;
-    /* 2240: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
+    /* 2248: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
     double rate_weight_auto;
-    /* 2248: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
+    /* 2256: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
     uint64_t tip_measured_ns;
+    /* 2264: Measurements of the tip that were refused since the start, for whatever reason. */
+    uint64_t tips_refused;
+    /* 2272: Distance of the measured tip from where the newest refused first bends placed it [m], in whole
+     * millimetres; 0: none was refused for it. */
+    double tip_contradiction_m;
+    /* 2280: CdcrOutcome. Outcome of the newest of them; accepted: none was refused. */
+    uint32_t tip_refused_by;
+    /* 2284: 1: yes, 0: no. A tip sensor beside the driver is configured (link.tip_sensor). */
+    uint32_t has_tip_sensor;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2256);
+CDCR_ASSERT_SIZE(CdcrStatus, 2288);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {
@@ -793,7 +803,8 @@ typedef struct CdcrInputEvent {
     /* 28: CdcrOutcome. */
     uint32_t outcome;
     /* 32: Place of the trouble: index of the point or obstacle; for a request its CdcrRequestKind; for an accepted
-     * obstacle update how many obstacles are known after it. */
+     * obstacle update how many obstacles are known after it; for first bends that a tip contradicts, its distance in
+     * mm. */
     uint32_t detail;
     /* 36: It took effect this many gathers before the record's gather: 0, unless more happened at once than one
      * record can report. */

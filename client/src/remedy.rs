@@ -9,7 +9,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::Accepted => "Nothing to do.",
         Outcome::NotFinite => "Remove NaN and infinite numbers from the message.",
         Outcome::InThePast => {
-            "The sender was late: start the reference later (--lead) or send it further ahead; send a measurement \
+            "The sender was late, or it or the daemon stood still: send again with the present time; start the reference later (--lead) or send it further ahead; send a measurement \
              within link.measurement_timeout_ms of its time stamp (CLOCK_MONOTONIC, in ns)."
         }
         Outcome::InTheFuture => {
@@ -21,6 +21,10 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         }
         Outcome::BeyondTurn => {
             "Send bends in rad, not in degrees: 90 degrees are 1.5708 rad (docs/drivers.md, Frames, angles, signs)."
+        }
+        Outcome::TipElsewhere => {
+            "Check units, signs, order and zero of the driver (bends in rad, cables in m; the scale of the encoders) and the frame of the tip sensor \
+             (docs/drivers.md, Frames, angles, signs); the limit is a ninth of the robot's length. Without tips for a second, the daemon takes the bends as they are."
         }
         Outcome::OutOfReach => {
             "Scale or move the reference into the ball whose radius is the robot's length; positions are in m: 150 mm are 0.15."
@@ -82,7 +86,7 @@ pub(crate) fn refusal(kind: RequestKind, outcome: Outcome) -> &'static str {
 /// Like [`remedy`], for a request that a daemon in `mode` refused.
 pub fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) -> &'static str {
     if kind == RequestKind::Track && outcome == Outcome::NoLease {
-        return "Feed one first, for example: cdcrctl ref spiral --track.";
+        return "Feed one first, for example: cdcrctl ref spiral --track. A stop ends the feed before it.";
     }
     if outcome != Outcome::WrongMode {
         return remedy(outcome);

@@ -61,6 +61,8 @@ pub struct Reporter {
     measured_error: MeasuredError,
     /// The newest tip measured beside the bends, if it was rejected.
     tip_rejected: Option<TipRejection>,
+    /// Refused tips that the statistics have.
+    refused_tips: u64,
     attribution: Attribution,
 }
 
@@ -86,6 +88,7 @@ impl Reporter {
             last_mode: Mode::Starting,
             measured_error: MeasuredError::default(),
             tip_rejected: None,
+            refused_tips: 0,
             fault_place: None,
             attribution: Attribution::default(),
         }
@@ -154,6 +157,7 @@ impl Reporter {
             {
                 shared.dropped_records.add(1);
             }
+            self.refused_tips = report.inputs.refused_tips.count;
             self.ends.used.recycle(report.record);
         }
     }
@@ -205,7 +209,7 @@ impl Reporter {
             skipped_periods: record.release.skipped,
             due_ns,
             late_cause,
-            counts: self.counts(record),
+            counts: self.counts(record, inputs.refused_tips.count),
             position_error_m: self.tracking_error_m(record),
             lateness: record.lateness,
             misses_tolerated: record.policy.tolerates(record.miss_bucket),
@@ -234,6 +238,7 @@ impl Reporter {
             following: record.following,
             following_warning: record.following.largest_rad() > record.policy.following.warning_rad,
             tip_measured_ns: (record.tip_measurement).map_or(0, |timed| timed.measured_ns),
+            refused_tips: inputs.refused_tips,
             tip_rejected: self.tip_rejected,
             fault_place: self.fault_place,
             dropped_events: inputs.dropped_events,
@@ -241,10 +246,11 @@ impl Reporter {
         }
     }
 
-    fn counts(&self, record: &CycleRecord) -> wire::Statistics {
+    fn counts(&self, record: &CycleRecord, refused_tips: u64) -> wire::Statistics {
         let has_solved = record.report.status != SolveStatus::Idle;
         let is_repeated = record.measurement_use == MeasurementUse::Repeated;
         let error_m = self.tracking_error_m(record);
+        let is_implausible = record.tip_use == MeasurementUse::Implausible;
         let error_nm = error_m.map_or(0, |error_m| (1e9 * error_m) as u64);
         wire::Statistics {
             budget_hits: u64::from(record.report.budget_spent),
@@ -254,7 +260,7 @@ impl Reporter {
             tip_error_sum_nm: error_nm,
             tip_error_max_nm: error_nm,
             stale_measurements: u64::from(self.has_driver && is_repeated),
-            tips_not_used: u64::from(record.tip_use == MeasurementUse::Implausible),
+            tips_not_used: u64::from(is_implausible) + refused_tips - self.refused_tips,
             longest_gap_ns: record.longest_gap_ns,
             ..wire::Statistics::default()
         }

@@ -261,6 +261,8 @@ class Outcome(Code):
     """The robot is measured far from where its last command left it."""
     BEYOND_TURN = 29
     """A bend is larger than a full turn."""
+    TIP_ELSEWHERE = 30
+    """The tip is measured far from where the first bends place it."""
 
 
 class Reason(Code):

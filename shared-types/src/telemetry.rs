@@ -25,7 +25,7 @@ message! {
         outcome: u32 [code Outcome],
         /// Place of the trouble: index of the point or obstacle; for a request its
         /// [`codes::RequestKind`](crate::codes::RequestKind); for an accepted obstacle update how many
-        /// obstacles are known after it.
+        /// obstacles are known after it; for first bends that a tip contradicts, its distance in mm.
         detail: u32,
         /// It took effect this many gathers before the record's `gather`: 0, unless more happened at once
         /// than one record can report.

@@ -1,6 +1,6 @@
 use std::f64::consts::TAU;
 
-use cdcr_controller::estimator::Measurement as Measured;
+use cdcr_controller::estimator::{Measurement as Measured, tip_offset_max_m};
 use cdcr_controller::robot::Robot;
 use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{MeasurementKind, Outcome};
@@ -9,7 +9,7 @@ use cdcr_shared_types::limits::{BENDS_LATE_MS, TIP_SENSOR_SILENT_MS};
 use super::bound_sender::BoundSender;
 use crate::config::{Config, Interface, LinkKind, TipSensor, ns};
 use crate::convert::{self, Refused};
-use crate::handover::TimedMeasurement;
+use crate::handover::{RefusedTips, TimedMeasurement};
 
 /// The newest measurements of driver and tip sensor, and the processes bound to send them.
 #[derive(Debug)]
@@ -33,6 +33,7 @@ pub(super) struct Measurements {
     newest_tip: Option<TimedMeasurement>,
     /// Number of processes that measured the tip so far.
     tip_sensors: u64,
+    refused_tips: RefusedTips,
 }
 
 /// A silent tip sensor may be replaced by another one \[ns\].
@@ -68,6 +69,7 @@ impl Measurements {
             newest: None,
             newest_tip: None,
             tip_sensors: 0,
+            refused_tips: RefusedTips::default(),
         }
     }
 
@@ -100,6 +102,11 @@ impl Measurements {
         self.tip_sensors
     }
 
+    /// Measurements of the tip that were refused so far.
+    pub(super) fn refused_tips(&self) -> RefusedTips {
+        self.refused_tips
+    }
+
     /// The newest measurement that determines the robot's configuration.
     pub(super) fn newest(&self) -> Option<TimedMeasurement> {
         self.newest
@@ -108,6 +115,27 @@ impl Measurements {
     /// Keeps the newest measurement. A valid one that is not newer is stale, which is not an error of its
     /// sender.
     pub(super) fn take(
+        &mut self,
+        message: &Measurement,
+        is_newer: bool,
+        robot: &Robot,
+        arrival: Arrival,
+    ) -> Result<Outcome, Refused> {
+        let taken = self.keep(message, is_newer, robot, arrival);
+        if let Err(refused) = &taken
+            && refused.outcome == Outcome::TipElsewhere
+        {
+            self.refused_tips.contradiction_m = 1e-3 * f64::from(refused.detail);
+        } else if let Err(refused) = &taken
+            && message.kind == MeasurementKind::TipPose.code()
+        {
+            self.refused_tips.count += 1;
+            self.refused_tips.newest = refused.outcome;
+        }
+        taken
+    }
+
+    fn keep(
         &mut self,
         message: &Measurement,
         is_newer: bool,
@@ -194,7 +222,29 @@ impl Measurements {
         {
             return Err(Refused::at(Outcome::BeyondTurn, index));
         }
+        if is_first
+            && let Some(away_m) = self.contradiction_m(&timed.measurement, robot, arrival.now_ns)
+        {
+            return Err(Refused::at(Outcome::TipElsewhere, (1e3 * away_m) as usize));
+        }
         Ok(timed)
+    }
+
+    /// How far the tip is measured from where first bends place it \[m\], if a tip sensor measures and that is too far.
+    /// Motors that follow positions would jump with their first command. Later, the body counts as that much thicker.
+    fn contradiction_m(&self, bends: &Measured, robot: &Robot, now_ns: u64) -> Option<f64> {
+        self.tip_sensor?;
+        let tip = self.newest_tip?;
+        let bends = bends.configuration(robot)?;
+        let Measured::TipPosition(tip_m) = tip.measurement else {
+            return None;
+        };
+        let measures = now_ns.saturating_sub(tip.measured_ns) <= TIP_SENSOR_LOST_NS;
+        // No body reaches half as far again as its model: there the sensor is wrong.
+        let is_place = tip_m.norm() < 1.5 * robot.reach_m();
+        let away_m = (tip_m - robot.tip_position(&bends)).norm();
+        let is_far = away_m > tip_offset_max_m(robot.reach_m());
+        (measures && is_place && is_far).then_some(away_m)
     }
 }
 

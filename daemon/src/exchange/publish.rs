@@ -93,6 +93,7 @@ impl Exchange {
             reference_points: self.references.points_ahead(now_ns) as u32,
             obstacles_refused: self.obstacles.refused(),
             silent_source: self.obstacles.silent_source(now_ns),
+            refused_tips: self.measurements.refused_tips(),
             safe_distance_min_m: self.settings.safe_distance_min_m,
         }
     }

@@ -31,7 +31,7 @@ pub use fault_place::FaultPlace;
 pub use inputs::{CycleAnswer, CycleInputs, CycleRequest, TimedMeasurement};
 pub use policy::{ChangedSettings, Policy, Settings};
 pub use record::{CycleFacts, CycleRecord, MeasurementUse};
-pub use report::{CycleReport, InputReport};
+pub use report::{CycleReport, InputReport, RefusedTips};
 pub use shared::Shared;
 pub use summary::Summary;
 pub use tip_rejection::TipRejection;

@@ -24,6 +24,26 @@ pub struct CycleReport {
     pub inputs: InputReport,
 }
 
+/// Measurements of the tip that the exchange refused.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RefusedTips {
+    pub count: u64,
+    /// Why the newest of them was refused; accepted: there is none.
+    pub newest: Outcome,
+    /// Distance of the measured tip from where the newest refused first bends placed it \[m\]; 0: none was refused for it.
+    pub contradiction_m: f64,
+}
+
+impl Default for RefusedTips {
+    fn default() -> Self {
+        Self {
+            count: 0,
+            newest: Outcome::Accepted,
+            contradiction_m: 0.0,
+        }
+    }
+}
+
 /// Messages and requests processed by the exchange up to a cycle.
 #[derive(Debug)]
 pub struct InputReport {
@@ -45,6 +65,7 @@ pub struct InputReport {
     pub obstacles_refused: u64,
     /// The source of obstacles that is silent since the earliest time, and that time \[ns\].
     pub silent_source: Option<(u64, u64)>,
+    pub refused_tips: RefusedTips,
     /// Smallest safe distance that a client may set \[m\].
     pub safe_distance_min_m: f64,
 }

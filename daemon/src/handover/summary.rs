@@ -4,7 +4,7 @@ use cdcr_shared_types::codes::{Mode, Outcome, Reason};
 
 use crate::accounting::Totals;
 use crate::core_budget::{CoreBudget, Costs};
-use crate::handover::{FaultPlace, TipRejection};
+use crate::handover::{FaultPlace, RefusedTips, TipRejection};
 use crate::rt::schedule::Lateness;
 
 /// Data of a cycle for the supervisor.
@@ -84,6 +84,8 @@ pub struct Summary {
     pub following_warning: bool,
     /// Last measurement of the tip beside bends or cables \[ns\]; 0: none.
     pub tip_measured_ns: u64,
+    /// Measurements of the tip that were refused so far.
+    pub refused_tips: RefusedTips,
     /// The newest tip measured beside the bends, if it was rejected.
     pub tip_rejected: Option<TipRejection>,
     /// Where the cycle that began the present fault saw its cause.

@@ -18,7 +18,7 @@ use cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS;
 
 use crate::config::{Validated, ns};
 use crate::exit::{Ended, ExitCause};
-use crate::handover::{Shared, Summary, SupervisorEnds};
+use crate::handover::{RefusedTips, Shared, Summary, SupervisorEnds};
 use crate::rt::clock::Clock;
 use crate::service_manager::{ServiceManager, StatusLine};
 use crate::status_desk::StatusDesk;
@@ -111,7 +111,7 @@ impl Supervisor {
             cut_logged_at: now,
             late: None,
             logged: now,
-            tip_silence: TipSilence::default(),
+            tip_silence: TipSilence::new(snapshot::has_tip_sensor(&validated.config)),
         })
     }
 
@@ -270,8 +270,14 @@ impl Supervisor {
                 cycle = summary.cycle,
                 "the tip sensor is silent for {TIP_SENSOR_SILENT_MS} ms: the robot goes on with its bends, and with the offset of the tip as it was last"
             ),
-            Some(TipNews::RegularAgain) => {
-                tracing::info!(cycle = summary.cycle, "the tip is measured again");
+            Some(TipNews::Missing) => tracing::warn!(
+                cycle = summary.cycle,
+                tips_refused = summary.refused_tips.count,
+                "no tip measurement accepted yet (link.tip_sensor = \"separate\"): tip and clearance are those of the model{}",
+                newest_refusal(summary.refused_tips)
+            ),
+            Some(TipNews::Regular) => {
+                tracing::info!(cycle = summary.cycle, "the tip is measured regularly");
             }
             None => {}
         }
@@ -316,7 +322,19 @@ impl Supervisor {
         for &outcome in refusals {
             if of(&self.newest, outcome) == 0 && of(summary, outcome) > 0 {
                 let reason = outcome.text();
-                tracing::warn!(cycle = summary.cycle, reason, "refused a message: {reason}");
+                let is_tip = summary.refused_tips.newest == outcome;
+                let hint = match outcome {
+                    Outcome::OtherDriver if is_tip && self.status.has_tip_sensor == 0 => {
+                        "; a tip sensor in a process of its own needs link.tip_sensor = \"separate\"".to_owned()
+                    }
+                    Outcome::TipElsewhere => contradiction(summary.refused_tips.contradiction_m),
+                    _ => String::new(),
+                };
+                tracing::warn!(
+                    cycle = summary.cycle,
+                    reason,
+                    "refused a message: {reason}{hint}"
+                );
             }
         }
     }
@@ -379,6 +397,23 @@ fn sleep_unless_signalled(length: Duration) {
 /// The mode or its reason has changed.
 fn has_changed_mode(summary: &Summary, before: &Summary) -> bool {
     (summary.mode, summary.reason) != (before.mode, before.reason)
+}
+
+/// Why the newest of the refused tips was refused.
+fn newest_refusal(refused: RefusedTips) -> String {
+    match refused.newest {
+        Outcome::Accepted => "; none arrived: check that the tip sensor runs and sends".to_owned(),
+        outcome => format!("; the newest was refused: {outcome} (cdcrctl status has the remedy)"),
+    }
+}
+
+/// What first bends are refused for while a tip sensor contradicts them.
+fn contradiction(away_m: f64) -> String {
+    format!(
+        ": {:.0} mm away. Usual causes: (1) the driver sends degrees or millimetres; (2) scale, sign, order or zero of its encoders are wrong; \
+         (3) the frame of the tip sensor is not that of the base",
+        1e3 * away_m
+    )
 }
 
 fn is_cut_short(summary: &Summary) -> bool {

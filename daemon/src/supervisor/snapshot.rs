@@ -4,7 +4,7 @@ use cdcr_controller::nmpc::RateWeight;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{Mode, Reason};
 
-use crate::config::{Validated, ns};
+use crate::config::{Config, LinkKind, TipSensor, Validated, ns};
 use crate::convert;
 use crate::handover::{Settings, Summary};
 
@@ -33,10 +33,18 @@ pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
     status.reference_position_m = summary.reference_position_m;
     status.measured_error_m = summary.measured_error_m;
     status.tip_measured_ns = summary.tip_measured_ns;
+    status.tips_refused = summary.refused_tips.count;
+    status.tip_contradiction_m = summary.refused_tips.contradiction_m;
+    status.tip_refused_by = summary.refused_tips.newest.code();
     status.following_error_rad = summary.following.bend_rad;
     status.following_error_m = summary.following.cable_m;
     status.settings = summary.settings;
     status.safe_distance_min_m = summary.safe_distance_min_m;
+}
+
+/// A process beside the driver is to measure the tip.
+pub(super) fn has_tip_sensor(config: &Config) -> bool {
+    config.link.kind == LinkKind::Driver && config.link.tip_sensor == TipSensor::Separate
 }
 
 /// The status of the daemon before its first cycle.
@@ -54,6 +62,7 @@ pub(super) fn first(validated: &Validated, daemon_id: u64) -> wire::Status {
         mode: Mode::Starting.code(),
         link: convert::link(config.link.kind).code(),
         interface: convert::interface(config.link.interface).code(),
+        has_tip_sensor: has_tip_sensor(config).into(),
         position_error_m: f64::NAN,
         reference_position_m: [f64::NAN; 3],
         measured_error_m: f64::NAN,

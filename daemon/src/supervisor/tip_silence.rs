@@ -3,6 +3,8 @@ use cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS;
 
 use crate::handover::Summary;
 
+/// A sensor that is silent, or has not measured since the robot can be moved, for longer than this is news \[ns\].
+const SILENT_NS: u64 = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
 /// A sensor that was silent counts as regular again after this time without a silence \[ns\]. One that measures less than
 /// once a second never does: it is one line of the log, not two for each measurement.
 const REGULAR_NS: u64 = 5_000_000_000;
@@ -10,6 +12,10 @@ const REGULAR_NS: u64 = 5_000_000_000;
 /// What the log has to say about the silences of a tip sensor.
 #[derive(Debug, Default)]
 pub(super) struct TipSilence {
+    /// The configuration has a tip sensor beside the driver.
+    is_expected: bool,
+    /// Since when the robot can be moved without any measurement of that sensor \[ns\].
+    missing_since_ns: Option<u64>,
     is_logged: bool,
     /// Since when a sensor whose silence is in the log has not been silent \[ns\].
     heard_since_ns: Option<u64>,
@@ -18,17 +24,26 @@ pub(super) struct TipSilence {
 /// A line of the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum TipNews {
+    /// No measurement of the configured sensor was accepted yet.
+    Missing,
     Silent,
-    RegularAgain,
+    /// After a silence.
+    Regular,
 }
 
 impl TipSilence {
+    pub(super) fn new(is_expected: bool) -> Self {
+        Self {
+            is_expected,
+            ..Self::default()
+        }
+    }
+
     /// The news of a cycle. In a fault a silence is none: without its driver the robot does not go on. It is one after the
     /// reset, if it lasts.
     pub(super) fn news(&mut self, summary: &Summary) -> Option<TipNews> {
         if summary.tip_measured_ns == 0 {
-            *self = Self::default();
-            return None;
+            return self.missing(summary);
         }
         if is_silent(summary) {
             self.heard_since_ns = None;
@@ -43,15 +58,27 @@ impl TipSilence {
         if summary.due_ns.saturating_sub(since_ns) < REGULAR_NS {
             return None;
         }
-        *self = Self::default();
-        Some(TipNews::RegularAgain)
+        *self = Self::new(self.is_expected);
+        Some(TipNews::Regular)
+    }
+
+    /// The news of a cycle before the first measurement. While the robot waits for its driver, or rests in a fault, a missing
+    /// sensor is none.
+    fn missing(&mut self, summary: &Summary) -> Option<TipNews> {
+        if !self.is_expected || matches!(summary.mode, Mode::Starting | Mode::Faulted) {
+            self.missing_since_ns = None;
+            return None;
+        }
+        let since_ns = *self.missing_since_ns.get_or_insert(summary.due_ns);
+        let is_news = !self.is_logged && summary.due_ns - since_ns > SILENT_NS;
+        self.is_logged |= is_news;
+        is_news.then_some(TipNews::Missing)
     }
 }
 
 /// A sensor that measured the tip beside bends or cables does so no more.
 fn is_silent(summary: &Summary) -> bool {
-    let silent_ns = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
-    summary.due_ns.saturating_sub(summary.tip_measured_ns) > silent_ns
+    summary.due_ns.saturating_sub(summary.tip_measured_ns) > SILENT_NS
 }
 
 #[cfg(test)]
@@ -59,6 +86,9 @@ mod tests {
     use super::*;
 
     const PERIOD_NS: u64 = 5_000_000;
+
+    /// No measurement of the tip at all.
+    const NEVER_NS: u64 = 0;
 
     /// The news while the tip is measured each `each_ns`, in one mode.
     fn news(
@@ -73,7 +103,10 @@ mod tests {
         let summaries = cycles.map(|due_ns| Summary {
             mode,
             due_ns,
-            tip_measured_ns: (due_ns / each_ns * each_ns).max(1),
+            tip_measured_ns: match each_ns {
+                NEVER_NS => 0,
+                each_ns => (due_ns / each_ns * each_ns).max(1),
+            },
             ..Summary::default()
         });
         summaries
@@ -90,9 +123,25 @@ mod tests {
         assert_eq!(of(often_ns, 1, 10), []);
         assert_eq!(of(u64::MAX, 10, 14), [TipNews::Silent]);
         assert_eq!(of(often_ns, 14, 18), []);
-        assert_eq!(of(often_ns, 18, 30), [TipNews::RegularAgain]);
+        assert_eq!(of(often_ns, 18, 30), [TipNews::Regular]);
         assert_eq!(of(seldom_ns, 30, 300), [TipNews::Silent]);
-        assert_eq!(of(often_ns, 300, 320), [TipNews::RegularAgain]);
+        assert_eq!(of(often_ns, 300, 320), [TipNews::Regular]);
+    }
+
+    /// Some drivers measure the tip, others do not: only the configuration says that a sensor is missing.
+    #[test]
+    fn a_sensor_of_which_nothing_was_accepted_is_logged_once_after_the_start() {
+        for (is_expected, expected) in [(true, vec![TipNews::Missing]), (false, vec![])] {
+            let mut watch = TipSilence::new(is_expected);
+            let mut of = |mode, from_s, to_s| news(&mut watch, mode, NEVER_NS, from_s, to_s);
+            assert_eq!(of(Mode::Starting, 1, 100), []);
+            assert_eq!(of(Mode::Holding, 100, 101), []);
+            assert_eq!(of(Mode::Tracking, 101, 200), expected);
+            assert_eq!(of(Mode::Faulted, 200, 210), []);
+            assert_eq!(of(Mode::Holding, 210, 220), []);
+            let measured = news(&mut watch, Mode::Holding, 10_000_000, 220, 240);
+            assert_eq!(measured.len(), expected.len());
+        }
     }
 
     /// A fault whose driver measured the tip, too, has a line of its own. What lasts after the reset is news.

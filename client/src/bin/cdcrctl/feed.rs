@@ -24,7 +24,9 @@ use crate::reach;
 use crate::standing::{MOVED_M, STATUS, check_stands, distance_m};
 use crate::stop_cause::stop_remedy;
 use crate::tip_error::TipError;
+use crate::unmeasured_tip;
 use crate::value::SPEED_M_S_MAX;
+use crate::way_end;
 
 /// From a first point farther away than this, the tip is visibly beside the reference for a while \[m\].
 const FAR_M: f64 = 0.02;
@@ -67,6 +69,9 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
     reach::check(&before, &*trajectory, allowed_m)?;
     if arguments.track && !arguments.blend {
         note_distance(&before, &*trajectory);
+    }
+    if !arguments.blend {
+        unmeasured_tip::warn_now(&connection);
     }
     if arguments.blend {
         let (speed, acceleration) = GENTLE;
@@ -112,6 +117,7 @@ pub(crate) fn go(
         check_mode(&status)?;
     }
     let before = newest(connection)?;
+    unmeasured_tip::warn(&status, &before);
     if !arguments.dry_run {
         // Before the simulation, which lasts as long as the path is far.
         check_stands(connection, &before)?;
@@ -135,7 +141,8 @@ pub(crate) fn go(
     let (done, error) = follow(connection, &way, options, |_| Ok(()))?;
     if done == Done::Good {
         let end = newest(connection)?;
-        print_end(&end, error.fresh_ns(), goal_m, arguments.max_error)?;
+        let cause = unmeasured_tip::cause(&connection.status(STATUS)?, &end);
+        way_end::print(&end, cause, error.fresh_ns(), goal_m, arguments.max_error)?;
     }
     Ok(done)
 }
@@ -157,28 +164,6 @@ pub(crate) fn go_options() -> FeedOptions {
         lead: GO_LEAD,
         ..FeedOptions::default()
     }
-}
-
-/// Prints the final distance to the point, estimated and, unless `fresh_ns` have passed since, measured; fails when
-/// either exceeds `limit_m`.
-fn print_end(end: &Telemetry, fresh_ns: u64, goal_m: [f64; 3], limit_m: f64) -> anyhow::Result<()> {
-    let estimated_m = distance_m(end.tip_position_m, goal_m);
-    let (mut largest_m, mut by) = (estimated_m, String::new());
-    if end.release_ns < end.tip_measured_ns + fresh_ns {
-        let measured_m = distance_m(end.tip_measured_m, goal_m);
-        largest_m = largest_m.max(measured_m);
-        by = format!(" ({:.3} mm as measured)", 1e3 * measured_m);
-    }
-    let left = 1e3 * estimated_m;
-    if largest_m > limit_m {
-        let limit = 1e3 * limit_m;
-        bail!("the tip is {left:.3} mm from the point{by}, more than --max-error, {limit:.3} mm");
-    }
-    writeln!(
-        std::io::stdout(),
-        "the tip is {left:.3} mm from the point{by}"
-    )?;
-    Ok(())
 }
 
 /// The nearest point that the daemon accepts: the tip of a robot that is longer than its model may be farther
@@ -454,34 +439,4 @@ fn finish(connection: &Connection, name: &str, report: &FeedReport) -> anyhow::R
         counted(report.chunks, "chunk")
     )?;
     Ok(Done::Good)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_end_of_a_way_is_where_the_estimate_and_the_sensor_say() {
-        let mut end = Telemetry {
-            release_ns: 1_000_000_000,
-            tip_position_m: [0.1, 0.0, 0.8],
-            tip_measured_m: [0.103, 0.0, 0.8],
-            tip_measured_ns: 995_000_000,
-            ..Telemetry::default()
-        };
-        let check = |end: &Telemetry, x_m: f64, limit_m: f64| {
-            print_end(end, 100_000_000, [x_m, 0.0, 0.8], limit_m)
-        };
-        let text = check(&end, 0.1, 0.002).expect_err("measured beside");
-        let text = text.to_string();
-        assert!(
-            text.contains("0.000 mm from the point (3.000 mm as measured)"),
-            "{text}"
-        );
-        assert!(check(&end, 0.1, 0.004).is_ok());
-        // A silent sensor does not decide about the end; the estimate does.
-        end.tip_measured_ns = 800_000_000;
-        assert!(check(&end, 0.1, 0.002).is_ok());
-        assert!(check(&end, 0.103, 0.002).is_err());
-    }
 }

@@ -40,8 +40,10 @@ mod stop_cause;
 mod tip_error;
 mod top;
 mod trigger;
+mod unmeasured_tip;
 mod value;
 mod wait;
+mod way_end;
 
 use std::io;
 use std::process::ExitCode;

@@ -8,7 +8,7 @@ use cdcr_shared_types::{Location, Response};
 
 use crate::Done;
 use crate::args::Target;
-use crate::wait;
+use crate::{unmeasured_tip, wait};
 
 /// Time for which `track` waits for a reference that another program is about to feed, and the retry
 /// interval.
@@ -25,6 +25,11 @@ pub(crate) fn run(
     }
     let (location, robot) = target.location()?;
     wait::print_outcome(kind, &ask(&location, robot, kind)?)?;
+    if kind == RequestKind::Track
+        && let Ok(connection) = target.connect()
+    {
+        unmeasured_tip::warn_now(&connection);
+    }
     Ok(Done::Good)
 }
 

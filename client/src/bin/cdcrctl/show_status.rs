@@ -15,9 +15,10 @@ use serde_json::{Value, json};
 use crate::Done;
 use crate::args::{Format, StatusOptions, Target};
 use crate::echo::json;
-use crate::echo::line::{clearance_text, latency_text, tip_silence_text};
+use crate::echo::line::{clearance_text, latency_text};
 use crate::interrupt::Interrupt;
 use crate::stop_cause::{broken_bend, status_remedy};
+use crate::unmeasured_tip::{Unheard, refused_text};
 
 /// Interval of `--watch`, and the number of interrupt checks in it.
 const EVERY: Duration = Duration::from_secs(1);
@@ -177,7 +178,12 @@ fn place(out: &mut String, status: &Status) -> std::fmt::Result {
         let error = 1e3 * status.measured_error_m;
         write!(out, "; measured {error:.3} mm from it")?;
     }
-    out.push_str(&tip_silence_text(status));
+    if let Some(unheard) = Unheard::of(status) {
+        write!(out, "; {unheard}")?;
+    }
+    if let Some(refused) = refused_text(status) {
+        write!(out, "\n            {refused}")?;
+    }
     let largest_rad = following_error_rad(status);
     let largest_m = status
         .following_error_m

@@ -24,11 +24,12 @@ pub(crate) fn status_remedy(status: &Status) -> Option<String> {
 }
 
 /// Outcomes of a measurement. Those that other messages have, too, are left out where such messages are common.
-const OF_MEASUREMENTS: [Outcome; 8] = [
+const OF_MEASUREMENTS: [Outcome; 9] = [
     Outcome::InThePast,
     Outcome::InTheFuture,
     Outcome::CableMean,
     Outcome::BeyondTurn,
+    Outcome::TipElsewhere,
     Outcome::WrongRobot,
     Outcome::WrongInterface,
     Outcome::OtherDriver,
@@ -41,8 +42,12 @@ fn start_remedy(status: &Status) -> String {
         OF_MEASUREMENTS.map(|outcome| (outcome, status.outcomes[outcome.code() as usize]));
     match refusals.into_iter().max_by_key(|(_, count)| *count) {
         Some((outcome, count)) if count > 0 => format!(
-            "No measurement was accepted yet; {} refused: {outcome}. {}",
+            "No measurement was accepted yet; {} refused: {outcome}{}. {}",
             counted(count, "message"),
+            match outcome {
+                Outcome::TipElsewhere => format!(", {:.0} mm away", 1e3 * status.tip_contradiction_m),
+                _ => String::new(),
+            },
             remedy(outcome)
         ),
         _ => "No measurement was accepted yet: check that the driver runs and sends (docs/drivers.md).".to_owned(),

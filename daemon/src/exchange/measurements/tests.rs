@@ -45,7 +45,7 @@ impl Rig {
             kind: kind.code(),
             interface: Interface::Velocity.code(),
             sections: 3,
-            tip_position_m: [0.0, 0.0, 0.8],
+            tip_position_m: [0.0, 0.0, 0.85],
             cable_length_m: values,
             bend_rad: core::array::from_fn(|i| values[i]),
             ..Measurement::default()
@@ -210,4 +210,47 @@ fn a_tip_sensor_and_a_driver_are_bound_each_for_itself() {
     rig.now_ns += TIP_SENSOR_LOST_NS;
     rig.desk.extend(TIP_SENSOR_LOST_NS);
     assert_eq!(rig.take(2, TIP), Outcome::OtherDriver);
+}
+
+#[test]
+fn refused_tips_are_counted_and_the_newest_names_its_outcome() {
+    let mut rig = Rig::new("tip_sensor = \"separate\"\n");
+    rig.accept(1, BENDS);
+    assert_eq!(rig.desk.refused_tips(), RefusedTips::default());
+    rig.accept(2, TIP);
+    assert_eq!(rig.take(3, BENDS), Outcome::OtherDriver);
+    assert_eq!(rig.desk.refused_tips(), RefusedTips::default());
+    for count in 1..=2 {
+        assert_eq!(rig.take(3, TIP), Outcome::OtherDriver);
+        let newest = Outcome::OtherDriver;
+        let contradiction_m = 0.0;
+        let expected = RefusedTips {
+            count,
+            newest,
+            contradiction_m,
+        };
+        assert_eq!(rig.desk.refused_tips(), expected);
+    }
+}
+
+/// Motors that follow positions would jump as soon as the daemon commands them.
+#[test]
+fn first_bends_that_a_measuring_tip_sensor_contradicts_are_refused() {
+    // The tip is measured 0.05 m below that of the straight robot of 0.9 m.
+    for (bend_rad, outcome) in [(0.0, Outcome::Accepted), (1.5, Outcome::TipElsewhere)] {
+        let mut bends = [0.0; CABLES_MAX];
+        bends[0] = bend_rad;
+        let mut rig = Rig::new("tip_sensor = \"separate\"\n");
+        rig.accept(2, TIP);
+        assert_eq!(rig.take_cables(1, BENDS, bends), outcome);
+        let contradiction_m = rig.desk.refused_tips().contradiction_m;
+        assert_eq!(contradiction_m > 0.1, bend_rad > 0.0, "{contradiction_m}");
+        assert_eq!(rig.desk.driver_id().is_some(), bend_rad == 0.0);
+        // A sensor that does not measure contradicts nothing, and later bends may be anywhere.
+        rig.now_ns += TIP_SENSOR_LOST_NS;
+        assert_eq!(rig.take_cables(1, BENDS, bends), Outcome::Accepted);
+        rig.accept(2, TIP);
+        bends[0] = 2.0;
+        assert_eq!(rig.take_cables(1, BENDS, bends), Outcome::Accepted);
+    }
 }

@@ -324,11 +324,32 @@ fn a_tip_sensor_is_a_sender_of_its_own_beside_the_driver() {
     assert!(0 < measured_ns && measured_ns <= begin_ns);
     robot.run_until(|| {
         sense(&sensor, OFFSET_M);
-        daemon.log().contains("the tip is measured again")
+        daemon.log().contains("the tip is measured regularly")
     });
     // Only the log and the telemetry show a tip that is rejected.
     robot.run_until(|| {
         sense(&sensor, 0.3);
         daemon.log().contains("the measured tip is not used")
     });
+}
+
+/// A camera with another clock measures nothing that counts: the tip is the model's, and a person has to know it.
+#[test]
+fn a_tip_sensor_of_which_nothing_is_accepted_is_named_with_its_refusals() {
+    let separate = CONFIGURATION.replace("[link]\n", "[link]\ntip_sensor = \"separate\"\n");
+    let daemon = Daemon::start(&separate);
+    let (connection, beside) = (daemon.connect(), daemon.connect());
+    let sensor = beside.tip_sensor().unwrap();
+    let (mut robot, _telemetry) = Robot::held(&connection);
+    robot.run_until(|| {
+        let wall_clock_ns = monotonic_ns() + 1_000_000_000_000_000_000;
+        sensor.send(wall_clock_ns, [0.0, 0.0, 0.3]).unwrap();
+        daemon.log().contains("no tip measurement accepted yet")
+    });
+    let in_the_future = Outcome::InTheFuture;
+    assert!(daemon.log().contains(in_the_future.text()));
+    let status = connection.status(TIMEOUT).unwrap();
+    assert_eq!((status.has_tip_sensor, status.tip_measured_ns), (1, 0));
+    assert_eq!(status.tip_refused_by, in_the_future.code());
+    assert!(status.tips_refused > 0 && status.since_reset.tips_not_used > 0);
 }

@@ -5,9 +5,7 @@ use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interpolation, LateCause, MeasurementState, Mode, ObstacleAction,
     ObstacleShape, Outcome, Reason, ReferenceState, SolverStatus, guard, timing,
 };
-use cdcr_shared_types::limits::{
-    CHUNK_POINTS_MAX, OBSTACLES_MAX, SECTIONS_MAX, TIP_SENSOR_SILENT_MS,
-};
+use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX, SECTIONS_MAX};
 use cdcr_shared_types::{
     Command, Incident, LatencySummary, ObstacleUpdate, ReferenceChunk, Status, Telemetry,
 };
@@ -73,15 +71,6 @@ fn error_text(error_m: f64) -> String {
 /// In mm; a dash without an obstacle.
 pub(crate) fn clearance_text(clearance_m: f64) -> String {
     or_dash(clearance_m.is_finite(), format!("{:.2}", 1e3 * clearance_m))
-}
-
-/// For how long a sensor that measured the tip beside bends or cables has been silent, if it is.
-pub(crate) fn tip_silence_text(status: &Status) -> String {
-    let silent_ns = status.header.sent_ns.saturating_sub(status.tip_measured_ns);
-    if status.tip_measured_ns == 0 || silent_ns <= 1_000_000 * TIP_SENSOR_SILENT_MS as u64 {
-        return String::new();
-    }
-    format!("; tip sensor silent for {} s", silent_ns / 1_000_000_000)
 }
 
 /// Cause of lateness, limits that changed the command, and refusals.
@@ -252,21 +241,6 @@ pub(super) fn obstacles(update: &ObstacleUpdate) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_tip_sensor_is_silent_only_after_it_has_measured() {
-        let mut status = Status::default();
-        status.header.sent_ns = 8_000_000_000;
-        for (measured_ns, text) in [
-            (0, ""),
-            (7_500_000_000, ""),
-            (8_100_000_000, ""),
-            (2_900_000_000, "; tip sensor silent for 5 s"),
-        ] {
-            status.tip_measured_ns = measured_ns;
-            assert_eq!(tip_silence_text(&status), text);
-        }
-    }
 
     #[test]
     fn clearance_and_the_guard_show() {

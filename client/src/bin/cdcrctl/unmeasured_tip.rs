@@ -1,0 +1,148 @@
+//! Where the position of the tip is that of the model, although a sensor is to measure it.
+
+use std::fmt;
+
+use cdcr_client::{Connection, counted, remedy};
+use cdcr_controller::estimator::tip_offset_max_m;
+use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome};
+use cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS;
+use cdcr_shared_types::{Status, Telemetry};
+
+use crate::dry_run::{newest, robot_and_pose};
+use crate::standing::{STATUS, distance_m};
+
+/// A tip sensor beside bends or cables that does not measure.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Unheard {
+    /// It is configured, and none of its measurements was accepted.
+    Never,
+    /// It has measured.
+    Silent { seconds: u64 },
+}
+
+impl Unheard {
+    pub(crate) fn of(status: &Status) -> Option<Self> {
+        if status.tip_measured_ns == 0 {
+            let is_missed = status.has_tip_sensor != 0 && status.mode != Mode::Starting.code();
+            return is_missed.then_some(Self::Never);
+        }
+        let silent_ns = status.header.sent_ns.saturating_sub(status.tip_measured_ns);
+        let seconds = silent_ns / 1_000_000_000;
+        (silent_ns > 1_000_000 * TIP_SENSOR_SILENT_MS as u64).then_some(Self::Silent { seconds })
+    }
+}
+
+impl fmt::Display for Unheard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Never => f.write_str("no tip measurement accepted yet"),
+            Self::Silent { seconds } => write!(f, "tip sensor silent for {seconds} s"),
+        }
+    }
+}
+
+/// Of a sensor that does not measure: how many of its measurements were refused, why, and what to do.
+pub(crate) fn refused_text(status: &Status) -> Option<String> {
+    let unheard = Unheard::of(status)?;
+    match Outcome::try_from(status.tip_refused_by) {
+        Ok(Outcome::Accepted) | Err(_) => (unheard == Unheard::Never).then(|| {
+            "no measurement of the tip arrived: check that the tip sensor runs and sends (docs/drivers.md)"
+                .to_owned()
+        }),
+        Ok(outcome) => Some(format!(
+            "{} of the tip refused, the newest: {outcome}. {}",
+            counted(status.tips_refused, "measurement"),
+            remedy(outcome)
+        )),
+    }
+}
+
+/// Why the tip of a record is that of the model; `None`: it is measured, or no sensor is to measure it.
+pub(crate) fn cause(status: &Status, record: &Telemetry) -> Option<String> {
+    if let Some(unheard) = Unheard::of(status) {
+        return Some(unheard.to_string());
+    }
+    if record.tip_state != MeasurementState::Implausible.code() {
+        return None;
+    }
+    let (robot, _) = robot_and_pose(record).ok()?;
+    let of_bends_m: [f64; 3] =
+        core::array::from_fn(|i| record.tip_position_m[i] - record.tip_offset_m[i]);
+    let away_mm = 1e3 * distance_m(record.tip_measured_m, of_bends_m);
+    let limit_mm = 1e3 * tip_offset_max_m(robot.reach_m());
+    let why = if away_mm > limit_mm {
+        format!("more than the limit of {limit_mm:.1} mm")
+    } else {
+        "it jumps, is frozen or was beyond the limit".to_owned()
+    };
+    Some(format!(
+        "the measured tip is not in use because it is {away_mm:.1} mm from where the bends place it, {why}"
+    ))
+}
+
+/// Warns a person who is about to move the robot by the tip that the model has.
+pub(crate) fn warn(status: &Status, record: &Telemetry) {
+    if let Some(cause) = cause(status, record) {
+        tell!(
+            "warning: {cause}: the tip and its distance from obstacles are those of the model, and the true tip may be elsewhere (cdcrctl status)"
+        );
+    }
+}
+
+/// As [`warn`], of the present. A daemon that does not answer is the caller's concern.
+pub(crate) fn warn_now(connection: &Connection) {
+    if let (Ok(status), Ok(record)) = (connection.status(STATUS), newest(connection)) {
+        warn(&status, &record);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tip_sensor_is_silent_only_after_it_has_measured() {
+        let mut status = Status::default();
+        status.header.sent_ns = 8_000_000_000;
+        for (measured_ns, unheard) in [
+            (0, None),
+            (7_500_000_000, None),
+            (8_100_000_000, None),
+            (2_900_000_000, Some(Unheard::Silent { seconds: 5 })),
+        ] {
+            status.tip_measured_ns = measured_ns;
+            assert_eq!(Unheard::of(&status), unheard);
+        }
+        assert_eq!(refused_text(&status), None);
+    }
+
+    #[test]
+    fn a_sensor_that_was_never_heard_is_named_with_its_refusal_and_remedy() {
+        let mut status = Status {
+            mode: Mode::Holding.code(),
+            has_tip_sensor: 1,
+            ..Status::default()
+        };
+        assert_eq!(Unheard::of(&status), Some(Unheard::Never));
+        assert!(refused_text(&status).is_some_and(|text| text.contains("runs and sends")));
+        status.tips_refused = 7;
+        status.tip_refused_by = Outcome::InTheFuture.code();
+        let text = refused_text(&status).expect("refused");
+        for part in [
+            "7 measurements of the tip refused",
+            "in the future",
+            "CLOCK_MONOTONIC",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
+        let record = Telemetry::default();
+        let cause = cause(&status, &record).expect("a cause");
+        assert_eq!(cause, "no tip measurement accepted yet");
+        // The daemon waits for its driver, or no sensor is to measure the tip.
+        status.mode = Mode::Starting.code();
+        assert_eq!(Unheard::of(&status), None);
+        status.mode = Mode::Holding.code();
+        status.has_tip_sensor = 0;
+        assert_eq!(Unheard::of(&status), None);
+    }
+}
