@@ -2,7 +2,7 @@ use std::fmt;
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::robot::Robot;
-use cdcr_controller::safety::{FarthestBend, Reason};
+use cdcr_controller::safety::{FarthestBend, MarginShare, Reason};
 
 use super::CycleRecord;
 
@@ -20,6 +20,8 @@ pub enum FaultPlace {
     },
     /// Distance of the measured tip from where the commands lead \[m\].
     Tip { distance_m: f64 },
+    /// The clearance of a body that counts as thicker by the tip margin \[m\].
+    Margin(MarginShare),
     /// The section farthest from its command.
     Section { section: usize, error_rad: f64 },
 }
@@ -38,6 +40,14 @@ impl FaultPlace {
                 let errors_rad = record.following.bend_rad.iter().enumerate();
                 let farthest = errors_rad.max_by(|one, other| one.1.total_cmp(other.1));
                 farthest.map(|(section, &error_rad)| Self::Section { section, error_rad })
+            }
+            Reason::ClearanceBroken if record.tip_margin_m > 0.0 => {
+                let clearance_m = record.clearance_m.min(record.measured_clearance_m);
+                Some(Self::Margin(MarginShare {
+                    clearance_m,
+                    margin_m: record.tip_margin_m,
+                    limit_m: record.policy.clearance_fault_m,
+                }))
             }
             _ => None,
         }
@@ -74,6 +84,7 @@ impl fmt::Display for FaultPlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Bend(bend) => bend.fmt(f),
+            Self::Margin(share) => share.fmt(f),
             Self::Component {
                 section,
                 axis,

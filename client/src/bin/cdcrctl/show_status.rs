@@ -17,7 +17,7 @@ use crate::args::{Format, StatusOptions, Target};
 use crate::echo::json;
 use crate::echo::line::{clearance_text, latency_text};
 use crate::interrupt::Interrupt;
-use crate::stop_cause::{broken_bend, status_remedy};
+use crate::stop_cause::{broken_bend, margin_share, status_remedy};
 use crate::unmeasured_tip::{Unheard, refused_text};
 
 /// Interval of `--watch`, and the number of interrupt checks in it.
@@ -124,6 +124,10 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
     )?;
     if let Some(bend) = broken {
         writeln!(out, "            {bend}")?;
+    }
+    let reasons = [status.reason, status.reset_refused_by];
+    if let Some(share) = margin_share(&reasons, status.clearance_m, status.tip_margin_m) {
+        writeln!(out, "            {share}")?;
     }
     if let Some(remedy) = status_remedy(status) {
         writeln!(out, "remedy      {remedy}")?;

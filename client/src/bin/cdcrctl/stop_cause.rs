@@ -2,7 +2,7 @@
 
 use cdcr_client::{Connection, counted, reason_remedy, remedy};
 use cdcr_controller::robot::Configuration;
-use cdcr_controller::safety::FarthestBend;
+use cdcr_controller::safety::{FarthestBend, MarginShare};
 use cdcr_shared_types::Status;
 use cdcr_shared_types::codes::{MeasurementKind, Mode, Outcome, Reason};
 
@@ -52,6 +52,21 @@ fn start_remedy(status: &Status) -> String {
         ),
         _ => "No measurement was accepted yet: check that the driver runs and sends (docs/drivers.md).".to_owned(),
     }
+}
+
+/// The share of the tip margin in a clearance that is a fault or refuses a reset, compared with the default of
+/// `safety.clearance_fault_m`.
+pub(crate) fn margin_share(
+    reasons: &[u32],
+    clearance_m: f64,
+    margin_m: f64,
+) -> Option<MarginShare> {
+    let is_cause = reasons.contains(&Reason::ClearanceBroken.code());
+    (is_cause && margin_m > 0.0 && clearance_m.is_finite()).then_some(MarginShare {
+        clearance_m,
+        margin_m,
+        limit_m: 0.0,
+    })
 }
 
 /// The bend that breaks its limit, where that is a fault or refuses a reset. Only telemetry has the bends.

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use super::trial::{BEGIN_NS, PERIOD_NS, TRACK, Trial};
 use super::{BLIND_DIRECT, is_at_rest};
 use crate::config::Interface;
-use crate::handover::MeasurementUse;
+use crate::handover::{FaultPlace, MeasurementUse};
 use crate::obstacles::KnownObstacle;
 
 const CONTACT: Mode = Mode::Faulted {
@@ -149,6 +149,9 @@ fn a_contact_by_the_margin_alone_stands_until_the_tip_is_known_to_be_wrong() {
         let faulted = trial.turns(3);
         assert_eq!(faulted.mode, CONTACT);
         assert!(faulted.clearance_m < 0.0 && faulted.tip_offset_m.norm() > 0.03);
+        let place = FaultPlace::find(&trial.cycle.robot, &faulted).unwrap();
+        let text = place.to_string();
+        assert!(text.contains("a tip sensor that contradicts"), "{text}");
         if is_wrong {
             // The sensor fell off its mount.
             trial.tip_error_m = Vector3::new(1.5, 0.0, 0.0);

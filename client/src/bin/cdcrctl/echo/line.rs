@@ -10,6 +10,8 @@ use cdcr_shared_types::{
     Command, Incident, LatencySummary, ObstacleUpdate, ReferenceChunk, Status, Telemetry,
 };
 
+use crate::stop_cause::margin_share;
+
 pub(super) const TELEMETRY_HEADING: &str = "     cycle  mode        reference        tip x mm      \
     y mm      z mm      error mm   wake µs  waited µs  solve µs  response µs  measurement  obstacles  clearance mm  \
     late by, limited by, refused";
@@ -155,8 +157,11 @@ fn troubles(record: &Telemetry) -> String {
     let flag = |bit: u32, text: &str| (record.timing_flags & bit != 0).then(|| text.to_owned());
     let skipped =
         (record.skipped_periods > 0).then(|| format!("skipped {}", record.skipped_periods));
-    let fault = (record.mode == Mode::Faulted.code())
-        .then(|| format!("faulted: {}", Reason::text_of(record.reason)));
+    let fault = (record.mode == Mode::Faulted.code()).then(|| {
+        let share = margin_share(&[record.reason], record.clearance_m, record.tip_margin_m);
+        let share = share.map_or_else(String::new, |share| format!(": {share}"));
+        format!("faulted: {}{share}", Reason::text_of(record.reason))
+    });
     let parts = [
         flag(timing::LATE_START, "late start"),
         flag(timing::DEADLINE_MISS, "deadline miss"),

@@ -73,6 +73,17 @@ fn the_table_says_what_matters() {
     assert!(table.contains(line), "{table}");
     assert!(!table.contains("\nremedy "), "{table}");
     assert!(object(&status)["remedy"].is_null());
+    // A margin alone makes the clearance too small.
+    (status.mode, status.clearance_m) = (Mode::Faulted.code(), -0.04);
+    let share = "counts the tip margin of 45.2 mm";
+    for (reason, is_named) in [
+        (Reason::ClearanceBroken, true),
+        (Reason::LimitBroken, false),
+    ] {
+        status.reason = reason.code();
+        let table = super::table(&status, None, 0).expect("formatted");
+        assert_eq!(table.contains(share), is_named, "{table}");
+    }
 }
 
 #[test]
