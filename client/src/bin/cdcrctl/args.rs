@@ -161,7 +161,8 @@ pub(crate) enum Task {
     Stop,
     /// Leave mode stopped or faulted, and hold
     #[command(
-        after_help = "Examples:\n  cdcrctl reset --wait\n  cdcrctl reset --accept-pose     after a motion by hand"
+        after_help = "A robot whose motors follow positions may move in mode holding after it, by its following error (cdcrctl status): keep clear.\n\n\
+        Examples:\n  cdcrctl reset --wait\n  cdcrctl reset --accept-pose     after a motion by hand"
     )]
     Reset(ResetOptions),
     /// Show the newest status: mode, counters, latencies, robot, settings

@@ -142,7 +142,7 @@ pub(crate) fn compute_positions(
 }
 
 /// Simulates `trajectory` from the state in `record`.
-fn simulate(
+pub(crate) fn simulate(
     record: &Telemetry,
     settings: NmpcSettings,
     trajectory: &dyn Trajectory,

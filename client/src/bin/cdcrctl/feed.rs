@@ -20,6 +20,7 @@ use crate::args::{
 use crate::bar::Bar;
 use crate::dry_run::{self, newest};
 use crate::interrupt::Interrupt;
+use crate::obstacle_in_way;
 use crate::reach;
 use crate::standing::{MOVED_M, STATUS, check_stands, distance_m};
 use crate::stop_cause::stop_remedy;
@@ -133,10 +134,14 @@ pub(crate) fn go(
     let demands = dry_run::compute(connection, &way, &options)?;
     if arguments.dry_run {
         demands.print(way.name())?;
-        demands.check_end(arguments.max_error)?;
+    }
+    if let Err(missed) = demands.check_end(arguments.max_error) {
+        let note = obstacle_in_way::note(connection, &way, &options, arguments.max_error)?;
+        bail!("{missed}{note}");
+    }
+    if arguments.dry_run {
         return Ok(Done::Good);
     }
-    demands.check_end(arguments.max_error)?;
     check_stands(connection, &before)?;
     let (done, error) = follow(connection, &way, options, |_| Ok(()))?;
     if done == Done::Good {

@@ -23,6 +23,7 @@ mod interrupt;
 mod keys;
 mod known_obstacles;
 mod obstacle;
+mod obstacle_in_way;
 mod picture;
 mod plant;
 mod plot;

@@ -160,7 +160,7 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
 }
 
 /// The largest following error of a section (rad).
-fn following_error_rad(status: &Status) -> f64 {
+pub(crate) fn following_error_rad(status: &Status) -> f64 {
     let sections = (status.robot.sections as usize).min(status.following_error_rad.len());
     let errors_rad = status.following_error_rad[..sections].iter();
     errors_rad.copied().fold(0.0, f64::max)

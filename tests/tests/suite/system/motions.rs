@@ -56,6 +56,13 @@ fn the_tip_goes_to_a_point_and_by_so_much_and_nothing_moves_that_cannot_be_reach
     assert!(far.contains("and the robot is 0.900 m long"), "{far}");
     assert!(says(&daemon, "jog 0,0,0.5 --dry-run", 1).contains("not reachable"));
     assert!(says(&daemon, "goto 50,20,870", 1).contains("are these millimetres?"));
+    // An obstacle covers the point.
+    let covers = "obstacle add --id 42 --at 0.3,0,0.75 --radius 0.05";
+    assert_ne!(says(&daemon, covers, 0), "");
+    let covered = says(&daemon, "goto 0.3,0,0.75 --dry-run", 1);
+    let names = ["Without the obstacles the tip arrives", "has id 42"];
+    assert!(names.iter().all(|name| covered.contains(name)), "{covered}");
+    says(&daemon, "obstacle clear", 0);
     assert!(distance_m(tip_m(&daemon), start_m) < 0.002, "nothing moved");
 
     let fast = "--speed 0.2 --acceleration 2";
