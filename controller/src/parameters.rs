@@ -58,12 +58,33 @@ impl Parameter {
             .usual
             .as_ref()
             .filter(|usual| !usual.contains(&value))?;
-        let other = match self.unit().trim() {
+        let usual = self.text_of(usual);
+        Some(format!("usual is {usual}{}", self.other_unit()))
+    }
+
+    /// Allowed values, and what to ask about a value outside them: `allowed is 0.001 to 10; in mm?`. An angle is in degrees only
+    /// beyond a turn.
+    pub fn refusal(&self, value: f64) -> Option<String> {
+        let range = self.range.as_ref()?;
+        if range.contains(&value) {
+            return None;
+        }
+        let is_angle = self.unit() == " rad";
+        let is_large = value > *range.end() || (is_angle && value < *range.start());
+        let asks = is_large && !(is_angle && value.abs() <= core::f64::consts::TAU);
+        let other = if asks { self.other_unit() } else { "" };
+        let [low, high] = [range.start(), range.end()].map(|limit| number_text(*limit));
+        Some(format!("allowed is {low} to {high}{other}"))
+    }
+
+    /// The unit in which a large value was probably given.
+    fn other_unit(&self) -> &'static str {
+        match self.unit().trim() {
             "rad" | "rad/s" => "; in degrees?",
+            "m" => "; in mm?",
             "m/s" => "; in mm/s?",
             _ => "",
-        };
-        Some(format!("usual is {}{other}", self.text_of(usual)))
+        }
     }
 
     /// Description with the range filled in, line by line.

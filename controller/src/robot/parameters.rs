@@ -48,7 +48,7 @@ crate::parameters! {
         /// Distance of the three cables from the backbone, {range}, and below the length.
         cable_radius_m: f64, in ranges::CABLE_RADIUS_M, "below length_m";
         /// Angle of the first cable about the backbone, {range}; the others follow at 120 and 240 degrees.
-        cable_offset_rad: f64, in ranges::CABLE_OFFSET_RAD;
+        cable_offset_rad: f64, in ranges::CABLE_OFFSET_RAD, usual -3.5..=3.5;
         /// Largest bend, {range}.
         bend_max_rad: f64, in ranges::BEND_MAX_RAD;
         /// Largest rate of each component of the bend vector, {range}.
@@ -189,7 +189,7 @@ pub enum RobotError {
     },
     /// A section's cables are at least as far from the backbone as the section is long.
     #[error(
-        "section {section}: {key} = {value} is outside {allowed:?}: it must stay below length_m; correct either"
+        "section {section}: {key} = {value} is not below the length of the section, length_m = {}; correct either", allowed.end
     )]
     CableRadius {
         /// Number of the section, 1 at the base.

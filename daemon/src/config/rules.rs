@@ -1,6 +1,6 @@
 //! Validation: the declared range of each number, and rules between keys.
 
-use cdcr_controller::parameters::{Parameter, number_text};
+use cdcr_controller::parameters::Parameter;
 
 use super::{Config, ConfigError, Origins, keys};
 
@@ -9,10 +9,8 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigErro
     let numbers = numbers(config);
     // NaN is outside every range.
     for (key, parameter, value) in &numbers {
-        let range = parameter.range.as_ref();
-        if let Some(range) = range.filter(|range| !range.contains(value)) {
-            let [low, high] = [range.start(), range.end()].map(|limit| number_text(*limit));
-            let message = format!("{value} is out of range: allowed is {low} to {high}");
+        if let Some(refusal) = parameter.refusal(*value) {
+            let message = format!("{value} is out of range: {refusal}");
             return Err(origins.error(&[key], &message));
         }
     }

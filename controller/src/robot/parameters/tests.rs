@@ -109,9 +109,9 @@ fn cable_radius_stays_below_length_and_cable_speed_in_its_range() {
         }
     );
     assert!(
-        error
-            .to_string()
-            .starts_with("section 2: cable_radius_m = 0.3 is outside 0.0001..0.3"),
+        error.to_string().starts_with(
+            "section 2: cable_radius_m = 0.3 is not below the length of the section, length_m = 0.3"
+        ),
         "{error}"
     );
 
