@@ -62,18 +62,21 @@ pub(crate) fn cause(status: &Status, record: &Telemetry) -> Option<String> {
     if let Some(unheard) = Unheard::of(status) {
         return Some(unheard.to_string());
     }
-    if record.tip_state != MeasurementState::Implausible.code() {
-        return None;
-    }
     let (robot, _) = robot_and_pose(record).ok()?;
     let of_bends_m: [f64; 3] =
         core::array::from_fn(|i| record.tip_position_m[i] - record.tip_offset_m[i]);
     let away_mm = 1e3 * distance_m(record.tip_measured_m, of_bends_m);
     let limit_mm = 1e3 * tip_offset_max_m(robot.reach_m());
-    let why = if away_mm > limit_mm {
-        format!("more than the limit of {limit_mm:.1} mm")
-    } else {
-        "it jumps, is frozen or was beyond the limit".to_owned()
+    let state = MeasurementState::try_from(record.tip_state);
+    let why = match state {
+        // A sensor is often slower than the cycle.
+        Ok(MeasurementState::Implausible | MeasurementState::Repeated) if away_mm > limit_mm => {
+            format!("more than the limit of {limit_mm:.1} mm")
+        }
+        Ok(MeasurementState::Implausible) => {
+            "it jumps, is frozen or was beyond the limit".to_owned()
+        }
+        _ => return None,
     };
     Some(format!(
         "the measured tip is not in use because it is {away_mm:.1} mm from where the bends place it, {why}"
@@ -114,6 +117,39 @@ mod tests {
             assert_eq!(Unheard::of(&status), unheard);
         }
         assert_eq!(refused_text(&status), None);
+    }
+
+    #[test]
+    fn a_rejected_tip_is_named_with_its_distance_also_between_two_measurements() {
+        let mut status = Status::default();
+        (status.header.sent_ns, status.tip_measured_ns) = (2_000_000_000, 1_900_000_000);
+        let mut record = Telemetry {
+            tip_position_m: [0.0, 0.0, 0.3],
+            ..Telemetry::default()
+        };
+        record.robot.sections = 1;
+        (
+            record.robot.cable_speed_max_m_s,
+            record.robot.cable_stroke_max_m,
+        ) = (1.0, 0.2);
+        let section = &mut record.robot.section[0];
+        (section.length_m, section.cable_radius_m) = (0.3, 0.02);
+        (section.bend_max_rad, section.rate_max_rad_s) = (2.5, 4.0);
+        for (state, x_m, named) in [
+            (MeasurementState::Implausible, 0.05, "50.0 mm from where"),
+            (MeasurementState::Repeated, 0.05, "the limit of 33.3 mm"),
+            (MeasurementState::Implausible, 0.01, "it jumps"),
+            (MeasurementState::Repeated, 0.01, ""),
+            (MeasurementState::Used, 0.01, ""),
+        ] {
+            record.tip_state = state.code();
+            record.tip_measured_m = [x_m, 0.0, 0.3];
+            let cause = cause(&status, &record).unwrap_or_default();
+            assert!(
+                cause.contains(named) && cause.is_empty() == named.is_empty(),
+                "{cause}"
+            );
+        }
     }
 
     #[test]
