@@ -8,9 +8,6 @@ use crate::closed_loop::Scene;
 use crate::experiment::{CIRCLE_DISTANCES_M, LINE_RATES_RAD_S, Solver, Task};
 use crate::named::named;
 
-/// Safe distance of the gap and the crossing \[m\].
-const SAFE_DISTANCE_M: f64 = 0.01;
-
 named! {
     pub enum Course {
         Spiral = "spiral",
@@ -57,7 +54,7 @@ impl Course {
                 return NmpcSettings {
                     horizon_steps: if self == Self::Gap { 5 } else { 10 },
                     control_blocks: 0,
-                    safe_distance_m: SAFE_DISTANCE_M,
+                    safe_distance_m: Scene::SAFE_DISTANCE_M,
                     ..NmpcSettings::default()
                 };
             }

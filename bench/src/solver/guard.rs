@@ -8,7 +8,7 @@ use cdcr_controller::safety::{Situation, safe_command};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
-use crate::closed_loop::PERIOD_S;
+use crate::closed_loop::{PERIOD_S, Scene};
 use crate::numbers::Numbers;
 use crate::quantiles::{histogram, quantile_us};
 
@@ -21,7 +21,6 @@ const BEND_RAD: f64 = 0.8;
 /// Fastest rates of a moment \[rad/s\].
 const RATES_RAD_S: [f64; 4] = [0.1, 0.5, 1.0, 2.0];
 const SPEED_M_S: f64 = 0.3;
-const SAFE_DISTANCE_M: f64 = 0.01;
 const BODY_RADIUS_M: f64 = 0.015;
 /// As in a daemon with its defaults.
 const DECELERATION_RAD_S2: f64 = 40.0;
@@ -53,7 +52,7 @@ fn measure_crowd(crowd: Crowd, moments: u64) -> Result<Value> {
             slack: None,
             previous: &moment.previous,
             obstacles: &moment.obstacles,
-            safe_distance_m: SAFE_DISTANCE_M,
+            safe_distance_m: Scene::SAFE_DISTANCE_M,
             tip_offset_m: 0.0,
             acceleration_rad_s2: DECELERATION_RAD_S2,
             period_s: PERIOD_S,
@@ -118,7 +117,7 @@ fn obstacle(
     let section = numbers.between(0.0, SECTIONS as f64) as usize;
     let body_m = robot.body_point(at, section, numbers.between(0.0, 1.0));
     let radius_m = numbers.between(0.005, 0.03);
-    let away_m = BODY_RADIUS_M + radius_m + SAFE_DISTANCE_M + numbers.between(0.0, 0.03);
+    let away_m = BODY_RADIUS_M + radius_m + Scene::SAFE_DISTANCE_M + numbers.between(0.0, 0.03);
     let mut vector = || Vector3::from_fn(|_, _| numbers.between(-1.0, 1.0));
     let side = vector().normalize();
     let span_m = 0.1 * side.cross(&vector());
@@ -144,7 +143,7 @@ mod tests {
         for crowd in CROWDS {
             let moment = Moment::new(crowd, &robot, 3).expect("a moment");
             let body = robot.body(&moment.at);
-            let far = |o: &&Obstacle| body.clearance_m(o) > SAFE_DISTANCE_M + 0.03 + 1e-9;
+            let far = |o: &&Obstacle| body.clearance_m(o) > Scene::SAFE_DISTANCE_M + 0.03 + 1e-9;
             assert_eq!(moment.obstacles.iter().filter(far).count(), 0);
             let is_moving = |o: &&Obstacle| o.velocity_m_s() != Vector3::zeros();
             let moving = moment.obstacles.iter().filter(is_moving).count();

@@ -97,4 +97,34 @@ mod tests {
             assert!((value - wanted).abs() < 1e-15, "{values:?} {expected:?}");
         }
     }
+
+    /// Both declare the constants: the controller knows no client, and a client without `model` no controller.
+    #[cfg(feature = "model")]
+    #[test]
+    fn the_curves_of_the_paper_are_those_of_the_scenes_of_the_controller() {
+        use super::{Circle, Line, Spiral, Trajectory};
+        use cdcr_controller::closed_loop::Scene;
+
+        let vertical = Line {
+            tip_axis: Some([0.0, 0.0, 1.0]),
+            ..Line::for_sections(&[0.3; 3])
+        };
+        let curves: [(&dyn Trajectory, Scene); 3] = [
+            (&Spiral::for_sections(&[0.3; 3]), Scene::spiral(3).unwrap()),
+            (&vertical, Scene::line(2.0).unwrap()),
+            (&Circle::for_sections(&[0.3]), Scene::circle().unwrap()),
+        ];
+        for (curve, scene) in curves {
+            let cycles = (curve.duration_s() / Scene::PERIOD_S) as u64;
+            assert!(cycles > 500, "{}", curve.name());
+            for time_s in (0..=cycles).map(|cycle| cycle as f64 * Scene::PERIOD_S) {
+                let expected = (scene.reference_at)(time_s);
+                let found_m = nalgebra::Vector3::from(curve.position_m(time_s));
+                let apart_m = (expected.position_m - found_m).norm();
+                assert!(apart_m < 1e-12, "{}, {time_s} s: {apart_m} m", curve.name());
+                let orientation = crate::model::orientation_of(curve.orientation(time_s));
+                assert_eq!(orientation, expected.orientation, "{}", curve.name());
+            }
+        }
+    }
 }

@@ -21,7 +21,7 @@ impl Run {
             swarm_size: 32,
             swarm_iterations: 50,
             refinement_steps: 20,
-            safe_distance_m: 0.01,
+            safe_distance_m: Scene::SAFE_DISTANCE_M,
             ..NmpcSettings::default()
         };
         Self::with(scene, settings, has_time)
@@ -61,7 +61,7 @@ impl Run {
 
     /// Cycles below the safe distance, beyond rounding.
     fn too_near(&self) -> usize {
-        let is_near = |clearance_m: &&f64| **clearance_m < 0.01 - 1e-9;
+        let is_near = |clearance_m: &&f64| **clearance_m < Scene::SAFE_DISTANCE_M - 1e-9;
         self.clearances_m.iter().filter(is_near).count()
     }
 }
@@ -74,14 +74,14 @@ fn with_enough_time_the_tip_arrives_and_the_body_keeps_clear() {
         let run = Run::new(&Scene::gap().unwrap(), 5, seed, true);
         assert!(run.mean_mm() < 1.0 && run.too_near() == 0);
         // The gap was as narrow as intended.
-        assert!(run.least_m() < 0.014);
+        assert!(run.least_m() < Scene::SAFE_DISTANCE_M + 0.004);
         max_mm += run.max_mm() / 5.0;
     }
     assert!(max_mm < 5.0, "{max_mm}");
     let run = Run::new(&Scene::crossing().unwrap(), 10, 1, true);
     assert!(run.mean_mm() < 6.0 && run.max_mm() < 25.0);
     // The ball came as near as allowed.
-    assert!(run.too_near() == 0 && run.least_m() < 0.011);
+    assert!(run.too_near() == 0 && run.least_m() < Scene::SAFE_DISTANCE_M + 0.001);
     // No robot can follow the jump at once.
     let run = Run::new(&Scene::jump().unwrap(), 10, 1, true);
     assert!(run.max_mm() > 50.0 && run.mean_mm() < 15.0);
