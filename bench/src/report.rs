@@ -10,7 +10,7 @@ use std::thread;
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, anyhow};
-use cdcr_process::{fill_folder, output_folder};
+use cdcr_process::fill_folder;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
@@ -106,8 +106,9 @@ pub fn write(files: &Files, folder: &Path) -> Result<()> {
     fill_folder(folder, |fresh| {
         for (name, text) in files {
             let file = fresh.join(name);
-            output_folder(file.parent().unwrap_or(fresh))?;
-            fs::write(&file, text).with_context(|| format!("cannot write {name}"))?;
+            let made = fs::create_dir_all(file.parent().unwrap_or(fresh));
+            let written = made.and_then(|()| fs::write(&file, text));
+            written.with_context(|| format!("cannot write {name}"))?;
         }
         Ok(())
     })
@@ -266,10 +267,8 @@ impl BenchReport {
         let own = json!({ "tables": tables, "extent": extent, "failed": failed, "took_s": took_s });
         all.extend(own.as_object().cloned().unwrap_or_default());
         if !targets.note.is_empty() {
-            all.insert(
-                "targets_not_evaluated".to_owned(),
-                targets.note.clone().into(),
-            );
+            let note = targets.note.clone();
+            all.insert("targets_not_evaluated".to_owned(), note.into());
         }
         let metrics = self.datasets().map(|dataset| &dataset.metrics[..]);
         self.start.json(all, &metrics.collect::<Vec<_>>().concat())
@@ -291,9 +290,8 @@ impl BenchReport {
     pub fn would_lose(&self, older: &str) -> BTreeSet<String> {
         let older: Value = serde_json::from_str(older).unwrap_or_default();
         let has = |name: &str| {
-            self.parts
-                .iter()
-                .any(|it| it.dataset.name == name && !it.has_failed())
+            let mut parts = self.parts.iter();
+            parts.any(|it| it.dataset.name == name && !it.has_failed())
         };
         let ran = older["took_s"].as_object().into_iter().flat_map(Map::keys);
         let lost = ran.filter(|name| older[*name].get(ERROR).is_none() && !has(name));

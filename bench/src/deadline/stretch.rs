@@ -97,7 +97,7 @@ impl<'a> Runner<'a> {
             _ => key.load.needs_daemon().then(decoy).transpose()?,
         };
         let tally = self.beside_load(key, daemon.as_ref().map(Daemon::location));
-        let words = || daemon.as_ref().map(Daemon::stderr_tail);
+        let words = || daemon.as_ref().map(Daemon::output_tail);
         let tally = tally.with_context(|| words().unwrap_or_default())?;
         daemon.map_or(Ok(()), Daemon::stop)?;
         Ok(tally)

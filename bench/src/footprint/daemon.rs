@@ -57,7 +57,7 @@ fn ready_ns(daemon: &Daemon, start: ManagedStart) -> Result<u64> {
 }
 
 fn late(daemon: &Daemon, missing: &str) -> String {
-    let words = daemon.stderr_tail();
+    let words = daemon.output_tail();
     format!("the daemon does not start: no {missing} within {TIMEOUT:?}{words}")
 }
 

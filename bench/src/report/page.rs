@@ -15,10 +15,8 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
     let of_plot = |plot: &Plot| link(&format!("plot-{}", plot.name), &plot.caption);
     let of_dataset = |dataset: &&Dataset| {
         let plots: String = dataset.plots().map(of_plot).collect();
-        format!(
-            "{}<ul>\n{plots}</ul>\n",
-            link(dataset.name, &dataset.declaration.heading)
-        )
+        let own = link(dataset.name, &dataset.declaration.heading);
+        format!("{own}<ul>\n{plots}</ul>\n")
     };
     let links: String = all.iter().map(of_dataset).collect();
     let mut html = String::new();
@@ -35,11 +33,8 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
         }
         for plot in dataset.plots() {
             let (id, svg, caption) = (&plot.name, plot.svg.trim(), escape(&plot.caption));
-            let caption = format!("<figcaption>{caption}</figcaption>");
-            let _ = writeln!(
-                html,
-                "<figure id=\"plot-{id}\">\n{svg}\n{caption}\n</figure>"
-            );
+            let figure = format!("{svg}\n<figcaption>{caption}</figcaption>");
+            let _ = writeln!(html, "<figure id=\"plot-{id}\">\n{figure}\n</figure>");
         }
         if !dataset.recordings.is_empty() {
             let log = format!("histograms/{name}.hlog");

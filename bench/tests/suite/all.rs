@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs;
+use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::thread;
@@ -9,7 +10,7 @@ use std::time::Duration;
 
 use cdcr_bench::budget::BUDGETS_US;
 use cdcr_bench::compare::{ChangeClass, Comparison, Input};
-use cdcr_process::{daemon_in, in_public_memory};
+use cdcr_process::{cdcrd_in, in_public_memory};
 use cdcr_scratch::Scratch;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
@@ -127,28 +128,33 @@ fn assert_budgets(rows: &[Value]) {
 #[test]
 fn ctrl_c_leaves_no_daemon_none_of_its_files_and_no_result() {
     let _machine = machine();
-    let [place, folder] = [(); 2].map(|()| Scratch::temporary().expect("a folder"));
-    let mut command = command(folder.path(), "--only deadline");
-    command.env("TMPDIR", place.path()).stdout(Stdio::null());
-    let child = command.stderr(Stdio::piped()).spawn();
-    let mut child = child.expect("the program runs");
-    let own = format!("cdcrbed_{}_", child.id());
-    // A daemon with a client has files; the time until then depends on the machine.
-    while daemon_in(&own).is_none() || in_public_memory(&own).is_empty() {
-        let ended = child.try_wait().expect("it is ours");
-        assert!(ended.is_none(), "no daemon was seen");
-        thread::sleep(Duration::from_millis(20));
+    for (only, has_daemon) in [("deadline", true), ("solver", false)] {
+        let [place, folder] = [(); 2].map(|()| Scratch::temporary().expect("a folder"));
+        let mut command = command(folder.path(), &format!("--rounds 100 --only {only}"));
+        command.env("TMPDIR", place.path()).stdout(Stdio::null());
+        let mut child = command.stderr(Stdio::piped()).spawn().expect("it runs");
+        // The first line of output shows that the signal handlers are installed.
+        let mut errors = BufReader::new(child.stderr.take().expect("a pipe"));
+        let mut text = String::new();
+        errors.read_line(&mut text).expect("a line");
+        assert!(text.contains(only), "{text}");
+        let own = format!("cdcrbed_{}_", child.id());
+        // A daemon with a client has files; the time until then depends on the machine.
+        let runs = || cdcrd_in(&own, "run").is_some() && !in_public_memory(&own).is_empty();
+        while has_daemon && !runs() {
+            let ended = child.try_wait().expect("it is ours");
+            assert!(ended.is_none(), "no daemon was seen");
+            thread::sleep(Duration::from_millis(20));
+        }
+        thread::sleep(Duration::from_millis(500));
+        assert_eq!(!names(place.path()).is_empty(), has_daemon, "{only}");
+        kill_process(Pid::from_child(&child), Signal::INT).expect("a signal");
+        errors.read_to_string(&mut text).expect("the rest");
+        assert_eq!(child.wait().expect("it ends").code(), Some(1), "{text}");
+        assert!(text.contains("interrupted"), "{text}");
+        assert!(cdcrd_in(&own, "").is_none() && in_public_memory(&own).is_empty());
+        assert!(names(place.path()).is_empty() && names(folder.path()).is_empty());
     }
-    thread::sleep(Duration::from_secs(1));
-    let folders = names(place.path());
-    kill_process(Pid::from_child(&child), Signal::INT).expect("a signal");
-    let output = child.wait_with_output().expect("it ends");
-    let errors = stderr(&output);
-    assert!(!folders.is_empty(), "{errors}");
-    let is_reported = output.status.code() == Some(1) && errors.contains("interrupted");
-    assert!(is_reported, "{errors}");
-    assert!(daemon_in(&own).is_none() && in_public_memory(&own).is_empty());
-    assert!(names(place.path()).is_empty() && names(folder.path()).is_empty());
 }
 
 #[test]

@@ -21,12 +21,15 @@ pub fn check_writable(folder: &Path) -> Result<()> {
 }
 
 /// Fills the folder, which is created if needed, with the files that `write` puts into a temporary one. They are moved
-/// when all are complete, so that a full disk leaves older files unchanged.
+/// when all are complete, so that a full disk leaves older files unchanged. Errors of `write` name files without the
+/// temporary folder, which is then gone.
 pub fn fill_folder(folder: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
     output_folder(folder)?;
+    let name = folder.display();
     let fresh = tempfile::Builder::new().prefix(".new-").tempdir_in(folder);
-    let fresh = fresh.with_context(|| format!("cannot write into {}", folder.display()))?;
-    write(fresh.path())?;
+    let fresh = fresh.with_context(|| format!("cannot write into {name}"))?;
+    let cannot = || format!("cannot fill {name}; its older files are unchanged");
+    write(fresh.path()).with_context(cannot)?;
     move_files(fresh.path(), folder)
 }
 
@@ -65,7 +68,10 @@ mod tests {
         fill_folder(&folder, write("old")).unwrap();
         fill_folder(&folder, write("new")).unwrap();
         let broken = |fresh: &Path| write("broken")(fresh).and_then(|()| anyhow::bail!("full"));
-        fill_folder(&folder, broken).unwrap_err();
+        let error = fill_folder(&folder, broken).unwrap_err();
+        let (error, name) = (format!("{error:#}"), folder.display());
+        let expected = format!("cannot fill {name}; its older files are unchanged: full");
+        assert_eq!(error, expected);
         assert_eq!(fs::read_to_string(folder.join("deep/file")).unwrap(), "new");
         let entries = fs::read_dir(&folder).unwrap().count();
         assert_eq!(entries, 1, "no temporary file is left");

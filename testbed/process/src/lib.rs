@@ -27,7 +27,7 @@ use rustix::process::{
 };
 
 pub use folder::{check_writable, fill_folder, output_folder};
-pub use place::{PREFIX, Place, ROOT, daemon_in, in_public_memory};
+pub use place::{PREFIX, Place, ROOT, cdcrd_in, in_public_memory};
 
 /// Interval between checks whether a program has ended.
 const LOOK: Duration = Duration::from_millis(20);
@@ -98,10 +98,10 @@ impl Process {
             bail!(
                 "{} did not end within {seconds} s{}",
                 self.name,
-                self.stderr_tail()
+                self.output_tail()
             );
         };
-        let words = || self.stderr_tail();
+        let words = || self.output_tail();
         ensure!(
             status.success(),
             "{} failed: {status}{}",
@@ -129,19 +129,20 @@ impl Process {
         self.child.kill()?;
         self.ended = Some(self.child.wait()?);
         let seconds = END_TIMEOUT.as_secs();
-        let (name, words) = (self.name, self.stderr_tail());
+        let (name, words) = (self.name, self.output_tail());
         bail!("{name} did not end within {seconds} s of SIGTERM and was killed{words}")
     }
 
-    pub fn stderr_tail(&self) -> String {
+    /// What it printed, as the end of an error message: standard error, or the begin of standard output.
+    pub fn output_tail(&self) -> String {
         // Some programs report errors on standard output.
         let words = match self.written(STDERR) {
             errors if errors.trim().is_empty() => self.written(STDOUT).chars().take(2000).collect(),
             errors => errors,
         };
         match words.trim() {
-            "" => "; its standard error is empty".to_owned(),
-            words => format!("; its standard error:\n{words}"),
+            "" => "; it printed nothing".to_owned(),
+            words => format!("; its output:\n{words}"),
         }
     }
 
@@ -275,14 +276,15 @@ mod tests {
                 .unwrap(),
             "one\n"
         );
-        let error = shell("echo why >&2; exit 3")
-            .wait(TIMEOUT, || Ok(()))
-            .unwrap_err()
-            .to_string();
-        assert!(
-            error.contains("exit status: 3") && error.contains("why"),
-            "{error}"
-        );
+        for (script, words) in [
+            ("echo one; echo why >&2; exit 3", "its output:\nwhy"),
+            ("echo one; exit 3", "its output:\none"),
+            ("exit 3", "it printed nothing"),
+        ] {
+            let error = shell(script).wait(TIMEOUT, || Ok(())).unwrap_err();
+            let expected = format!("sh failed: exit status: 3; {words}");
+            assert_eq!(error.to_string(), expected);
+        }
         let error = shell("sleep 100")
             .wait(Duration::ZERO, || Ok(()))
             .unwrap_err()

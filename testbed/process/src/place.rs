@@ -96,14 +96,16 @@ pub fn in_public_memory(prefix: &str) -> Vec<PathBuf> {
     paths.filter(is_meant).collect()
 }
 
-/// The process of a daemon in a place with this prefix. Zombies do not count.
-pub fn daemon_in(prefix: &str) -> Option<u32> {
+/// A process of `cdcrd` with a file of a place with this prefix in its command line: of a subcommand, or of any if
+/// empty. Zombies do not count.
+pub fn cdcrd_in(prefix: &str, subcommand: &str) -> Option<u32> {
     let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
     let mut ids = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    let program = format!("cdcrd\0{subcommand}");
     ids.find(|id| {
         let line = fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
         let line = String::from_utf8_lossy(&line);
-        line.contains("cdcrd\0run\0") && line.contains(prefix)
+        line.contains(&program) && line.contains(prefix)
     })
 }
 

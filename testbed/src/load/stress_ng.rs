@@ -34,7 +34,7 @@ pub(super) fn run(cores: &Cores, signals: &Signals) -> Result<Done> {
     signals.works();
     while !signals.is_ending() {
         if process.has_ended()? {
-            bail!("it ended by itself{}", process.stderr_tail());
+            bail!("it ended by itself{}", process.output_tail());
         }
         thread::sleep(LOOK);
     }

@@ -37,7 +37,7 @@ impl Baseline {
                 .process
                 .wait(2 * self.duration + TIMEOUT, interrupt::check)?,
         )?;
-        let words = || self.process.stderr_tail();
+        let words = || self.process.output_tail();
         ensure!(
             !cycles.is_empty(),
             "cdcrd bare reported no cycle{}",

@@ -115,12 +115,12 @@ impl Running {
         let limit = Duration::from_secs_f64(2.0 * duration_s) + TIMEOUT;
         let printed = self.process.wait(limit, crate::interrupt::check)?;
         let mut each_ns = latencies_in(&printed)
-            .with_context(|| format!("what cyclictest printed{}", self.process.stderr_tail()))?;
+            .with_context(|| format!("what cyclictest printed{}", self.process.output_tail()))?;
         let (made, asked) = (each_ns.len(), self.cycles);
         ensure!(
             made as u64 >= asked,
             "cyclictest reported {made} cycles of the {asked} requested{}",
-            self.process.stderr_tail()
+            self.process.output_tail()
         );
         each_ns.truncate(asked as usize);
         Ok(Latencies::of(each_ns, self.period))

@@ -142,7 +142,7 @@ impl Daemon {
             ensure!(
                 !self.process.has_ended()?,
                 "the daemon ended at once{}",
-                self.stderr_tail()
+                self.output_tail()
             );
             match self.connect() {
                 Ok(connection) if is_ready(&connection) => return Ok(self),
@@ -154,7 +154,7 @@ impl Daemon {
         bail!(
             "the daemon was not ready within {} s: {last}{}",
             TIMEOUT.as_secs(),
-            self.stderr_tail()
+            self.output_tail()
         )
     }
 
@@ -178,13 +178,13 @@ impl Daemon {
         ensure!(
             !self.process.has_ended()?,
             "the daemon ended by itself{}",
-            self.stderr_tail()
+            self.output_tail()
         );
         self.process.end()
     }
 
-    pub fn stderr_tail(&self) -> String {
-        self.process.stderr_tail()
+    pub fn output_tail(&self) -> String {
+        self.process.output_tail()
     }
 }
 

@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::path::PathBuf;
 
 use cdcr_client::Connection;
-use cdcr_process::{PREFIX, ROOT, daemon_in};
+use cdcr_process::{PREFIX, ROOT, cdcrd_in};
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{
@@ -191,10 +191,11 @@ impl RunningDemo {
         names.collect()
     }
 
-    /// Waits for its daemon, and returns the daemon's process.
-    fn wait_daemon(&self) -> u32 {
-        wait_until("the demo's daemon", || daemon_in(&self.prefix()).is_some());
-        daemon_in(&self.prefix()).unwrap()
+    /// Waits for its process of this subcommand of `cdcrd`.
+    fn wait_cdcrd(&self, subcommand: &str) -> u32 {
+        let process = || cdcrd_in(&self.prefix(), subcommand);
+        wait_until(subcommand, || process().is_some());
+        process().unwrap()
     }
 
     fn wait_tracking(&self) {
@@ -213,9 +214,9 @@ impl RunningDemo {
 
 impl Drop for RunningDemo {
     fn drop(&mut self) {
-        if let Some(daemon) = daemon_in(&self.prefix()) {
-            let daemon = Pid::from_raw(daemon.cast_signed()).unwrap();
-            let _ = kill_process(daemon, Signal::KILL);
+        if let Some(left) = cdcrd_in(&self.prefix(), "") {
+            let left = Pid::from_raw(left.cast_signed()).unwrap();
+            let _ = kill_process(left, Signal::KILL);
         }
         for left in in_public_memory(&self.prefix()) {
             let _ = fs::remove_file(&left).or_else(|_| fs::remove_dir_all(left));
@@ -225,21 +226,23 @@ impl Drop for RunningDemo {
 
 #[test]
 fn an_interrupted_demo_leaves_nothing() {
-    for (signal, is_tracking) in [
-        (Signal::INT, true),
-        (Signal::INT, false),
-        (Signal::TERM, true),
+    // The baseline, the start of the daemon, and what a user sees most of the time.
+    for (signal, subcommand, is_tracking) in [
+        (Signal::INT, "bare", false),
+        (Signal::INT, "run", false),
+        (Signal::INT, "run", true),
+        (Signal::TERM, "run", true),
     ] {
         let mut demo = RunningDemo::start();
-        demo.wait_daemon();
+        demo.wait_cdcrd(subcommand);
         if is_tracking {
             demo.wait_tracking();
         }
         demo.program.signal(signal);
         let output = demo.program.output();
         assert_eq!(output.status.code(), Some(130), "{}", text(&output));
-        let daemon = daemon_in(&demo.prefix());
-        assert_eq!(daemon, None, "its daemon still runs");
+        let left = cdcrd_in(&demo.prefix(), "");
+        assert_eq!(left, None, "its cdcrd {subcommand} still runs");
         assert_eq!(in_public_memory(&demo.prefix()), Vec::<PathBuf>::new());
         assert_eq!(demo.temporary(), Vec::<String>::new());
     }
@@ -248,7 +251,7 @@ fn an_interrupted_demo_leaves_nothing() {
 #[test]
 fn the_daemon_of_a_killed_demo_ends() {
     let mut demo = RunningDemo::start();
-    let daemon = demo.wait_daemon();
+    let daemon = demo.wait_cdcrd("run");
     demo.wait_tracking();
     demo.program.signal(Signal::KILL);
     demo.program.output();
@@ -256,7 +259,7 @@ fn the_daemon_of_a_killed_demo_ends() {
     let stat = || fs::read_to_string(format!("/proc/{daemon}/stat")).unwrap_or_default();
     let has_ended = |stat: &str| stat.is_empty() || stat.contains(") Z ");
     wait_until("the end of its daemon", || {
-        daemon_in(&demo.prefix()).is_none() && has_ended(&stat())
+        cdcrd_in(&demo.prefix(), "").is_none() && has_ended(&stat())
     });
     let left = in_public_memory(&demo.prefix());
     for root in left.iter().filter(|path| path.is_dir()) {

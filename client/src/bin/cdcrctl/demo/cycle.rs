@@ -123,7 +123,8 @@ fn header(sections: usize) -> Vec<String> {
 
 /// Writes one row per cycle.
 pub(super) fn write_csv(path: &Path, cycles: &[Cycle], sections: usize) -> anyhow::Result<()> {
-    let context = || format!("cannot write {}", path.display());
+    let name = path.file_name().unwrap_or_default();
+    let context = || format!("cannot write {}", name.display());
     let mut writer = csv::Writer::from_path(path).with_context(context)?;
     writer
         .write_record(header(sections))

@@ -19,7 +19,8 @@ use cdcr_chart::Panel;
 /// Writes panels to a file; `size` is the number of columns and the height of a panel.
 fn write(file: &Path, size: (usize, u32), panels: &[Panel]) -> anyhow::Result<()> {
     let svg = cdcr_chart::svg(size, panels)?;
-    fs::write(file, svg).with_context(|| format!("cannot write {}", file.display()))
+    let name = file.file_name().unwrap_or_default();
+    fs::write(file, svg).with_context(|| format!("cannot write {}", name.display()))
 }
 
 #[cfg(test)]
