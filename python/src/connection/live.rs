@@ -1,4 +1,4 @@
-//! Live records, batch by batch.
+//! Live records, batch by batch. One module with the connection, which makes them and whose records they fetch.
 
 use std::time::{Duration, Instant};
 
