@@ -107,25 +107,29 @@ pub fn timed_solve(nmpc: &mut Nmpc, input: &SolveInput, end: End) -> Solved {
 }
 
 pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Run> {
-    run_with(scene, settings, End::Never, SceneLoop::advance, |_, _| ())
+    run_with(scene, settings, End::Never, true, |_, _| ())
 }
 
-/// Solves until `end` in each cycle and passes the rates to `advance`; `solved` sees each input and its plan. As in a
-/// daemon, the first solve was rehearsed: it touches all memory that a solve needs.
-pub fn run_with<'a>(
-    scene: &'a Scene,
+/// Solves until `end` in each cycle; `solved` sees each input and its plan. Without `checks` the robot executes the plan,
+/// whose seed is the number of the cycle. As in a daemon, the first solve was rehearsed: it touches all memory that a
+/// solve needs.
+pub fn run_with(
+    scene: &Scene,
     settings: NmpcSettings,
     end: End,
-    advance: fn(&mut SceneLoop<'a>, &BendRates),
+    checks: bool,
     mut solved: impl FnMut(&SolveInput, &[f64]),
 ) -> Result<Run> {
     let mut nmpc = scene.solver(settings)?;
     let mut closed = scene.begin(settings)?;
     nmpc.rehearse(&closed.input(), &mut Budget::unlimited());
+    let advance = [SceneLoop::advance_unchecked, SceneLoop::advance][usize::from(checks)];
     let mut samples = Vec::with_capacity(scene.cycles as usize);
     while closed.cycle() < scene.cycles {
-        let (desired_rates, report, time) = timed_solve(&mut nmpc, &closed.input(), end);
-        solved(&closed.input(), nmpc.plan());
+        let mut input = closed.input();
+        input.seed = [closed.cycle(), input.seed][usize::from(checks)];
+        let (desired_rates, report, time) = timed_solve(&mut nmpc, &input, end);
+        solved(&input, nmpc.plan());
         advance(&mut closed, &desired_rates);
         samples.push(Sample::new(scene, &closed, &report, time));
     }

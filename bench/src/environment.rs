@@ -62,15 +62,13 @@ impl Environment {
     }
 
     fn properties(&self) -> BTreeMap<String, Value> {
-        let values = flat(&json!(self)).into_iter();
-        let named = values.map(|(key, value)| (key.replace('_', " "), value));
-        named.collect()
+        let named = |(key, value): (String, Value)| (key.replace('_', " "), value);
+        flat(&json!(self)).into_iter().map(named).collect()
     }
 
     pub fn rows(&self) -> Vec<Value> {
-        let rows = self.properties().into_iter();
-        let rows = rows.map(|(property, value)| json!({ "property": property, "value": value }));
-        rows.collect()
+        let row = |(property, value)| json!({ "property": property, "value": value });
+        self.properties().into_iter().map(row).collect()
     }
 
     /// Properties that differ and affect absolute times. An older file may lack a property.

@@ -109,9 +109,9 @@ impl<'a> Drawn<'a> {
     fn new(outcomes: &'a [Outcome], task: Task) -> Result<Self> {
         let title = match task {
             Task::Spiral { sections } => format!("spiral, {}", counted(sections, "section")),
-            Task::Line { rate_limit_rad_s } => {
-                format!("line, rates up to {rate_limit_rad_s} rad/s")
-            }
+            Task::Line {
+                rate_limit_rad_s: most,
+            } => format!("line, rates up to {most} rad/s"),
             Task::Circle { safe_distance_m } => format!("circle, D = {} mm", 1e3 * safe_distance_m),
         };
         let find = |solver: Solver| {
@@ -308,9 +308,8 @@ impl<'a> Drawn<'a> {
     fn backbone(&self, view: View, sample: &Sample) -> Vec<Point> {
         let (robot, at) = (&self.run.scene.robot, &sample.configuration);
         let shares = (0..=POINTS).map(|i| f64::from(i) / f64::from(POINTS));
-        let places = self
-            .sections()
-            .flat_map(|j| shares.clone().map(move |share| (j, share)));
+        let sections = self.sections();
+        let places = sections.flat_map(|j| shares.clone().map(move |share| (j, share)));
         view.line(places.map(|(j, share)| robot.body_point(at, j, share).into()))
     }
 }

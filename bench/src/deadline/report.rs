@@ -94,8 +94,7 @@ fn time_rows(key: Key, times: &Times) -> impl Iterator<Item = Value> {
         "hand-over (response)",
         "the client (command)",
     ];
-    let measured = TO.into_iter().zip(times);
-    let measured = measured.filter(|(_, times)| !times.is_empty());
+    let measured = TO.into_iter().zip(times).filter(|(_, it)| !it.is_empty());
     measured.map(move |(to, times)| joined([key.json(), json!({ "to": to }), quantiles(times)]))
 }
 
@@ -306,9 +305,8 @@ mod tests {
         add_targets(&mut dataset, &cases, 5000.0);
         let targets = dataset.all_targets();
         let keys = ["found", "of", "reached"];
-        let found = targets.iter();
-        let found = found.map(|row| keys.map(|key| row[key].to_string()).join(" "));
-        let found: Vec<_> = found.collect();
+        let words = |row: &Value| keys.map(|key| row[key].to_string()).join(" ");
+        let found: Vec<_> = targets.iter().map(words).collect();
         assert_eq!(found[0], "1.3 \"cpu\" false");
         assert_eq!(found[1], "2.0 \"3.0 min\" false");
         assert!(found[2].contains("4 of 24000 against 4 of 24000") && found[2].ends_with("true"));

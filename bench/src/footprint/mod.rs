@@ -38,10 +38,8 @@ pub struct FootprintOptions {
 /// Shorter, the counts of the kernel have no meaning.
 fn duration(text: &str) -> Result<Duration> {
     let duration = humantime::parse_duration(text)?;
-    ensure!(
-        (0.1..=3600.0).contains(&duration.as_secs_f64()),
-        "must be 100ms to 1h"
-    );
+    let is_allowed = (0.1..=3600.0).contains(&duration.as_secs_f64());
+    ensure!(is_allowed, "must be 100ms to 1h");
     Ok(duration)
 }
 

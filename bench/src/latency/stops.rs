@@ -126,10 +126,8 @@ fn evaluate(seen: &[Seen], sent_ns: u64) -> Option<Stopped> {
     let (first, rest) = (&seen[stop.first], &seen[stop.rest]);
     let passage = [sent_ns, first.record.gather_ns, first.received_ns?];
     let zeros_ns = [rest.record.handed_over_ns, rest.received_ns?];
-    Some((
-        passage,
-        zeros_ns.map(|zero_ns| stop.less_ramp_ns(sent_ns, zero_ns)),
-    ))
+    let times_ns = zeros_ns.map(|zero_ns| stop.less_ramp_ns(sent_ns, zero_ns));
+    Some((passage, times_ns))
 }
 
 #[cfg(test)]

@@ -53,9 +53,8 @@ impl QualityOptions {
         let has_effect = |(varied, solver): &(Varied, Solver)| {
             !matches!((varied, solver), (Varied::Swarm(..), Solver::GaussNewton))
         };
-        all.filter(has_effect)
-            .map(|(varied, solver)| Variant::new(course, solver, varied))
-            .collect()
+        let variant = |(varied, solver)| Variant::new(course, solver, varied);
+        all.filter(has_effect).map(variant).collect()
     }
 
     fn cases(&self, iteration_us: impl Fn(Course) -> Result<f64>) -> Result<Vec<Case<'static>>> {

@@ -7,9 +7,7 @@ use cdcr_controller::nmpc::NmpcSettings;
 use serde_json::{Value, json};
 
 use super::course::Course;
-use crate::closed_loop::{
-    End, PERIOD_S, PlanEvaluator, Sample, Scene, SceneLoop, run_with, timed_solve,
-};
+use crate::closed_loop::{End, PERIOD_S, PlanEvaluator, Sample, Scene, run_with, timed_solve};
 use crate::experiment::Solver;
 use crate::metric::median;
 use crate::quantiles::{histogram, quantile_us};
@@ -116,7 +114,7 @@ impl Variant {
         let budget = self.budget_us().map(Duration::from_micros);
         let end = budget.map_or(End::Never, End::After);
         let mut cost = 0.0;
-        let run = run_with(scene, settings, end, SceneLoop::advance, |input, plan| {
+        let run = run_with(scene, settings, end, true, |input, plan| {
             cost += evaluator.cost(input, plan);
         })?;
         let mut times_ns = histogram();

@@ -269,11 +269,9 @@ mod tests {
     use TrialOutcome::{Holds, Machine, NotFollowed, Own, Slow};
 
     pub(super) fn trial(period_ms: f64, outcome: TrialOutcome) -> Trial {
+        let held = json!({ "cycles": 4000, "response_us": { "p50": 30.0 }, "core_share": 0.2 });
         let (remarks, row) = match outcome {
-            Holds => (
-                "",
-                json!({ "cycles": 4000, "response_us": { "p50": 30.0 }, "core_share": 0.2 }),
-            ),
+            Holds => ("", held),
             _ => ("too short", Value::Null),
         };
         Trial::new(Case::DEFAULT, period_ms, None, outcome, remarks, row)
@@ -320,10 +318,9 @@ mod tests {
     #[test]
     fn the_daemon_accepts_every_robot_with_every_period() {
         // `None`: the default spin time.
-        for (case, period_ms, spin_us) in [(0, 5.0, Some(1e3)), (1, 0.5, Some(0.0)), (2, 0.1, None)]
-        {
+        for (case, ms, spin_us) in [(0, 5.0, Some(1e3)), (1, 0.5, Some(0.0)), (2, 0.1, None)] {
             let stage = Stage::new(spin_us).unwrap();
-            let launch = stage.launch(&Case::all()[case], period_ms);
+            let launch = stage.launch(&Case::all()[case], ms);
             let output = launch.command("check").unwrap().output().unwrap();
             let errors = String::from_utf8_lossy(&output.stderr);
             assert!(output.status.success(), "{errors}");

@@ -254,9 +254,8 @@ fn parts(rows: &[Value]) -> Vec<Value> {
             Some(format!("{value:.digits$}"))
         };
         let (with, without) = (of("full")?, of(without)?);
-        Some(
-            json!({ "part": part, "robot": robot, "figure": figure, "with": with, "without": without }),
-        )
+        let row = json!({ "part": part, "robot": robot, "figure": figure, "with": with, "without": without });
+        Some(row)
     };
     declared.shown_parts.iter().filter_map(row).collect()
 }

@@ -3,12 +3,11 @@
 use std::time::Duration;
 
 use anyhow::Result;
-use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::optimizer::QUANTUM_NS;
 use serde_json::{Value, json};
 
 use super::Size;
-use crate::closed_loop::{End, Run, Sample, SceneLoop, run_with};
+use crate::closed_loop::{End, Run, Sample, run_with};
 use crate::dataset::{each, joined};
 use crate::experiment::{Solver, Task};
 use crate::quantiles::{histogram, quantile_us};
@@ -42,11 +41,9 @@ pub fn measure(divisor: u64) -> Result<Vec<Value>> {
             let of_cycle = runs.iter().map(|run| run.0[cycle].solve_ns);
             times.saturating_record(of_cycle.min().unwrap_or_default());
         }
-        let quantiles = json!({
-            "p50_us": quantile_us(&times, 0.5),
-            "p99_us": quantile_us(&times, 0.99),
-        });
-        Ok(joined([outcome(&runs[0]), quantiles]))
+        let [p50_us, p99_us] = [0.5, 0.99].map(|part| quantile_us(&times, part));
+        let quantiles = json!({ "p50_us": p50_us, "p99_us": p99_us });
+        Ok(joined([outcome(problem, &runs[0]), quantiles]))
     })
 }
 
@@ -57,7 +54,7 @@ pub fn measure_by_deadlines(divisor: u64) -> Result<Vec<Value>> {
         let mut row = json!({});
         for deadline_us in DEADLINES_US {
             let end = End::AfterQuanta(1000 * deadline_us / QUANTUM_NS);
-            let outcome = outcome(&follow(problem, DEADLINE_CYCLES_MAX, end)?);
+            let outcome = outcome(problem, &follow(problem, DEADLINE_CYCLES_MAX, end)?);
             row[format!("error_mm_{deadline_us}_us")] = outcome["mean_error_mm"].clone();
             by_deadlines.push(outcome);
         }
@@ -85,19 +82,23 @@ fn every(divisor: u64, solve: impl Fn(Problem) -> Result<Value>) -> Result<Vec<V
     Ok(rows)
 }
 
-/// No guard corrects the plan.
-fn follow((solver, speed, obstacles): Problem, cycles_max: u64, end: End) -> Result<Run> {
+fn size((solver, _, obstacles): Problem) -> Size {
     let mut size = Size::paper(Task::Spiral { sections: 3 }, solver);
     (size.settings.horizon_steps, size.obstacles) = (HORIZON, obstacles);
-    let mut scene = size.scene()?.faster(speed.into());
-    scene.cycles = (size.task.scene()?.cycles / u64::from(speed)).min(cycles_max);
-    let advance = SceneLoop::advance_unchecked;
-    run_with(&scene, size.settings, end, advance, |_, _| ())
+    size
 }
 
-fn outcome(run: &Run) -> Value {
+/// No guard corrects the plan.
+fn follow(problem: Problem, cycles_max: u64, end: End) -> Result<Run> {
+    let (size, speed) = (size(problem), problem.1);
+    let mut scene = size.scene()?.faster(speed.into());
+    scene.cycles = (size.task.scene()?.cycles / u64::from(speed)).min(cycles_max);
+    run_with(&scene, size.settings, end, false, |_, _| ())
+}
+
+fn outcome(problem: Problem, run: &Run) -> Value {
     let least_m = Some(run.least_clearance_m()).filter(|least_m| least_m.is_finite());
-    let safe_m = NmpcSettings::default().safe_distance_m;
+    let safe_m = size(problem).settings.safe_distance_m;
     json!({
         "mean_error_mm": run.mean_error_mm(),
         "max_error_mm": run.most(Sample::error_mm),

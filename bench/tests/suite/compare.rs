@@ -127,11 +127,8 @@ fn files_that_are_no_results_are_named_with_what_is_expected() {
         let is_reported = errors.contains(words);
         assert!(found.status.code() == Some(1) && is_reported, "{errors}");
     };
-    for text in [
-        "",
-        "{\"metrics\": []}",
-        "{\"environment\": {}, \"metrics\": [{}]}",
-    ] {
+    let texts = r#"|{"metrics": []}|{"environment": {}, "metrics": [{}]}"#;
+    for text in texts.split('|') {
         std::fs::write(&bad, text).expect("written");
         is_refused([&good, &bad], "bad.json is not a result of cdcr-bench");
     }

@@ -92,8 +92,7 @@ fn whole(task: Task, solver: Solver) -> impl Fn(&str) -> f64 {
         solver,
         coordinates: Coordinates::BendVector,
     };
-    let outcome = run(experiment, effort, || ());
-    let row = outcome.expect("the simulation runs").row;
+    let row = run(experiment, effort, || ()).expect("it runs").row;
     move |key| number(&row, key)
 }
 

@@ -31,6 +31,9 @@ struct Choice {
     /// All if empty. The first of several columns with the same head.
     #[serde(default)]
     columns: Vec<String>,
+    /// Other heads of chosen columns.
+    #[serde(default)]
+    heads: BTreeMap<String, String>,
 }
 
 impl Choice {
@@ -58,8 +61,10 @@ impl Choice {
         let has_rows = !table.lines.is_empty();
         assert!(has_rows, "no row of {:?} is chosen", self.title);
         let kept = |cells: &[String]| columns.iter().map(|at| cells[*at].clone()).collect();
+        let heads: Vec<String> = kept(&table.heads);
+        let renamed = |head| self.heads.get(&head).cloned().unwrap_or(head);
         ShownTable {
-            heads: kept(&table.heads),
+            heads: heads.into_iter().map(renamed).collect(),
             words: columns.iter().map(|at| table.words[*at]).collect(),
             lines: table.lines.iter().map(|line| kept(line)).collect(),
             title: [table.title, String::new()][usize::from(self.hides_title)].clone(),

@@ -1,5 +1,6 @@
 //! Results of `cdcr-bench robustness` from one seed, compared with the committed results.
 
+use cdcr_bench::dataset::ShownTable;
 use serde_json::Value;
 
 use crate::results::result;
@@ -21,6 +22,21 @@ fn same(found: f64, expected: f64, what: &Value) {
     let how = "see the command in bench/README.md";
     let is_same = (found / expected - 1.0).abs() < 1e-6;
     assert!(is_same, "{what}: {found}, committed {expected}; {how}");
+}
+
+/// Today's tables have the heads of the committed ones, and their lines of this name, which do not depend on seeds.
+fn are_those_tables(today: &Value, committed: &Value, name: &str) {
+    let tables = |document: &Value| serde_json::from_value(document["tables"].clone());
+    let [new, old]: [Vec<ShownTable>; 2] = [today, committed].map(|it| tables(it).expect("tables"));
+    let mut count = 0;
+    for (new, old) in new.iter().zip(&old) {
+        assert_eq!((&new.title, &new.heads), (&old.title, &old.heads));
+        for line in new.lines.iter().filter(|line| line[0] == name) {
+            assert!(old.lines.contains(line), "{line:?}");
+            count += 1;
+        }
+    }
+    assert!(count > 0, "no line {name}");
 }
 
 /// The present result of the part named `only`, or of everything with `CDCR_WHOLE`.
@@ -106,17 +122,16 @@ fn what_robots_do_that_are_not_their_model_is_what_was_committed() {
     let [new, old] = [new, old].map(Iterator::collect::<Vec<Value>>);
     let numbers = ["mean_error_mm", "settled_error_mm", "max_error_mm"];
     are_those(&new, &old, &["name", "controller", "interface"], &numbers);
+    are_those_tables(&today, &committed, "ideal");
 }
 
 #[test]
 fn what_the_knobs_do_is_what_was_committed() {
     let (today, committed) = (of_today("--sweep", "preset"), result("results/tuning.json"));
     let [new, old] = [&today, &committed].map(|document| list(document, "knobs"));
-    let numbers = [
-        "mean_error_mm",
-        "max_error_mm",
-        "rate_change_rms",
-        "cables_rate_change_rms",
-    ];
-    are_those(new, old, &["knob", "turned_to", "value"], &numbers);
+    let errors = ["mean_error_mm", "max_error_mm"];
+    for numbers in [errors, ["rate_change_rms", "cables_rate_change_rms"]] {
+        are_those(new, old, &["knob", "turned_to", "value"], &numbers);
+    }
+    are_those_tables(&today, &committed, "preset");
 }
