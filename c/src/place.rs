@@ -16,9 +16,9 @@ pub(crate) fn locate(
     );
     let location = match (prefix, root.map(Path::new)) {
         (Some(prefix), Some(root)) => Location::new(prefix, root),
-        (prefix, root) => Location::from_environment().and_then(|reported| {
-            let prefix = prefix.unwrap_or(reported.prefix());
-            Location::new(prefix, root.unwrap_or(reported.root()))
+        (prefix, root) => Location::from_environment().and_then(|named| {
+            let prefix = prefix.unwrap_or(named.prefix());
+            Location::new(prefix, root.unwrap_or(named.root()))
         }),
     };
     Ok((location.map_err(Failure::argument)?, robot))

@@ -16,10 +16,10 @@ pub const FAULTS: [&str; 5] = ["silent", "late", "frozen", "jumping", "nan"];
 const FLAWS: &str = "CDCR_TEST_FLAWS";
 
 /// The flaws in the environment of a driver process.
-pub fn reported_flaws() -> Flaws {
+pub fn given_flaws() -> Flaws {
     let mut flaws = Preset::Laboratory.flaws();
-    let reported = std::env::var(FLAWS).unwrap_or_default();
-    for word in reported.split(' ').filter(|word| !word.is_empty()) {
+    let given = std::env::var(FLAWS).unwrap_or_default();
+    for word in given.split(' ').filter(|word| !word.is_empty()) {
         let (name, value) = word.split_once('=').expect("NAME=VALUE");
         let mut named = flaws.named();
         let flaw = named.iter_mut().find(|(known, ..)| *known == name);

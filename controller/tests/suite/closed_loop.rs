@@ -75,10 +75,10 @@ fn commands_keep_clear_for_as_long_as_a_robot_obeys_them() {
     let [nearest_m, rests_m] = of(STOPPING);
     assert!(nearest_m < 0.0101 && rests_m >= 0.01 - 1e-12, "{rests_m} m");
     // With fewer periods or an infinite deceleration the robot keeps less; by default it stops at once.
-    let reported = [(1.0, 40.0), (3.0, f64::INFINITY)].map(of);
+    let with_less = [(1.0, 40.0), (3.0, f64::INFINITY)].map(of);
     for [nearest_m, rests_m] in [least_m(begin(PERIOD_S).unwrap())]
         .into_iter()
-        .chain(reported)
+        .chain(with_less)
     {
         assert!(
             (0.01..0.0101).contains(&nearest_m) && rests_m < 0.009,

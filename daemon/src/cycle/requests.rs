@@ -25,9 +25,9 @@ impl Cycle {
         seen: &Observation,
         release: &Release,
     ) -> [Option<CycleAnswer>; REQUESTS_WAITING] {
-        let reported = core::mem::take(&mut self.stop_signalled) || inputs.stops > self.stops;
+        let is_stopped = core::mem::take(&mut self.stop_signalled) || inputs.stops > self.stops;
         // A counted stop answers all waiting requests.
-        let most = if reported {
+        let most = if is_stopped {
             REQUESTS_WAITING
         } else {
             REQUESTS_PER_CYCLE
@@ -37,7 +37,7 @@ impl Cycle {
         let of_requests = asked.iter().flatten();
         let of_requests = of_requests.filter(|asked| asked.request == Request::Stop);
         let newest = of_requests.map(|stop| stop.stops).max();
-        let stops = reported || newest.is_some();
+        let stops = is_stopped || newest.is_some();
         self.stops = self.stops.max(inputs.stops).max(newest.unwrap_or(0));
         if stops {
             self.latched_ns = release.start_ns;

@@ -297,14 +297,14 @@ mod tests {
 
     #[test]
     fn counts_and_percentiles_of_both_stretches() {
-        let mut reported = StatisticsTest::new();
+        let mut test = StatisticsTest::new();
         for _ in 0..98 {
-            reported.record(&good());
+            test.record(&good());
         }
-        reported.record(&missed(0));
-        reported.record(&missed(3));
-        reported.statistics.dropped(2);
-        for counts in report(&mut reported.statistics) {
+        test.record(&missed(0));
+        test.record(&missed(3));
+        test.statistics.dropped(2);
+        for counts in report(&mut test.statistics) {
             assert_eq!((counts.cycles, counts.deadline_misses), (100, 2));
             assert_eq!((counts.skipped_periods, counts.longest_streak), (3, 5));
             assert_eq!(counts.causes[LateCause::Platform.code() as usize], 2);
@@ -320,66 +320,66 @@ mod tests {
 
     #[test]
     fn the_last_minute_forgets_and_the_rest_remembers() {
-        let mut reported = StatisticsTest::new();
+        let mut test = StatisticsTest::new();
         for second in 0..200 {
-            reported.statistics.advance(second * S);
-            reported.record(&good());
+            test.statistics.advance(second * S);
+            test.record(&good());
         }
-        let [since, minute] = report(&mut reported.statistics);
+        let [since, minute] = report(&mut test.statistics);
         assert_eq!(since.cycles, 200);
         assert!((50..=60).contains(&minute.cycles), "{}", minute.cycles);
         // After a long time without cycles the last minute is empty.
-        reported.statistics.advance(1_000_000 * S);
-        assert_eq!(report(&mut reported.statistics)[1].cycles, 0);
-        assert_eq!(report(&mut reported.statistics)[0].cycles, 200);
+        test.statistics.advance(1_000_000 * S);
+        assert_eq!(report(&mut test.statistics)[1].cycles, 0);
+        assert_eq!(report(&mut test.statistics)[0].cycles, 200);
     }
 
     #[test]
     fn a_reset_begins_anew() {
-        let mut reported = StatisticsTest::new();
-        reported.record(&missed(9));
-        reported.statistics.reset(7 * S);
-        reported.record(&good());
-        for counts in report(&mut reported.statistics) {
+        let mut test = StatisticsTest::new();
+        test.record(&missed(9));
+        test.statistics.reset(7 * S);
+        test.record(&good());
+        for counts in report(&mut test.statistics) {
             assert_eq!((counts.cycles, counts.deadline_misses), (1, 0));
             assert_eq!((counts.longest_streak, counts.wake.count), (0, 1));
         }
         let mut status = wire::Status::default();
-        reported.statistics.report(&mut status);
+        test.statistics.report(&mut status);
         assert_eq!(status.statistics_since_ns, 7 * S);
     }
 
     #[test]
     fn a_streak_goes_on_over_the_border_of_a_slice() {
-        let mut reported = StatisticsTest::new();
-        reported.record(&missed(1));
-        reported.statistics.advance(10 * S);
-        reported.record(&missed(1));
-        assert_eq!(report(&mut reported.statistics)[1].longest_streak, 4);
-        reported.record(&good());
-        reported.record(&missed(0));
-        assert_eq!(report(&mut reported.statistics)[1].longest_streak, 4);
+        let mut test = StatisticsTest::new();
+        test.record(&missed(1));
+        test.statistics.advance(10 * S);
+        test.record(&missed(1));
+        assert_eq!(report(&mut test.statistics)[1].longest_streak, 4);
+        test.record(&good());
+        test.record(&missed(0));
+        assert_eq!(report(&mut test.statistics)[1].longest_streak, 4);
     }
 
     #[test]
     fn lost_summaries_do_not_make_the_exact_counts_wrong() {
-        let mut reported = StatisticsTest::new();
-        reported.record(&missed(0));
-        reported.statistics.reset(S);
-        reported.lose(&missed(2));
-        reported.lose(&good());
-        reported.record(&good());
+        let mut test = StatisticsTest::new();
+        test.record(&missed(0));
+        test.statistics.reset(S);
+        test.lose(&missed(2));
+        test.lose(&good());
+        test.record(&good());
         // Cycles lost in the next slice count there.
-        reported.statistics.advance(20 * S);
-        reported.lose(&missed(4));
-        reported.record(&missed(0));
-        for counts in report(&mut reported.statistics) {
+        test.statistics.advance(20 * S);
+        test.lose(&missed(4));
+        test.record(&missed(0));
+        for counts in report(&mut test.statistics) {
             assert_eq!((counts.cycles, counts.wake.count), (5, 2));
             assert_eq!((counts.deadline_misses, counts.late_starts), (3, 3));
             assert_eq!(counts.skipped_periods, 6);
         }
-        reported.statistics.advance(65 * S);
-        let [since, minute] = report(&mut reported.statistics);
+        test.statistics.advance(65 * S);
+        let [since, minute] = report(&mut test.statistics);
         assert_eq!((since.cycles, since.skipped_periods), (5, 6));
         assert_eq!((minute.cycles, minute.skipped_periods), (2, 4));
     }

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::{Connection, monotonic_ns};
 use cdcr_shared_types::codes::MeasurementKind;
 use cdcr_shared_types::{Location, Measurement};
-use cdcr_tests::driver::reported_flaws;
+use cdcr_tests::driver::given_flaws;
 use cdcr_tests::robot::{DrivenRobot, interface_of};
 use cdcr_tests::{ROBOT, TIMEOUT};
 
@@ -85,7 +85,7 @@ impl RobotBehindDriver {
                 connection,
                 interface_of(connection),
                 bends,
-                reported_flaws(),
+                given_flaws(),
             ),
             measured: Measurement::default(),
             turns: 0,

@@ -342,6 +342,9 @@ fn run_with<T: Fn()>(beside: Beside, floods: &[bool], test: &T) {
         };
         (0..rounds()).for_each(|_| row.stop_in_all(test));
         let of = |times: &[Duration]| {
+            if times.is_empty() {
+                return "0 | - | -".to_owned();
+            }
             let mut times_ns = histogram();
             for time in times {
                 times_ns.saturating_record(time.as_nanos() as u64);

@@ -125,12 +125,12 @@ fn a_configuration_that_is_read_again_changes_the_solver_and_a_wrong_one_nothing
     let before = connection.settings().unwrap();
     let reload = |text: &str, answer: &str| {
         daemon.place().write("robot.toml", text);
-        let reported = daemon.log().len();
+        let log_length = daemon.log().len();
         daemon.signal(Signal::HUP);
         wait_until(answer, || {
             daemon
                 .log()
-                .get(reported..)
+                .get(log_length..)
                 .is_some_and(|new| new.contains(answer))
         });
     };

@@ -415,7 +415,7 @@ fn a_recording_tells_what_its_rows_tell() {
     }
     // Detected by its first bytes, independent of the name.
     fs::copy(&whole, folder.join("whole.dat")).unwrap();
-    for (arguments, status, reported) in [
+    for (arguments, status, expected) in [
         ("cut.mcap", 0, "length of section 1"),
         ("whole.dat", 0, "length of section 1"),
         ("begun.mcap", 1, "contains no telemetry of cdcrd"),
@@ -429,7 +429,7 @@ fn a_recording_tells_what_its_rows_tell() {
         ),
     ] {
         let line = format!("cdcrctl calibrate geometry {arguments}");
-        daemon.place().says(&line, status, &[reported]);
+        daemon.place().says(&line, status, &[expected]);
     }
 
     let mut command = daemon.place().command("cdcrctl");

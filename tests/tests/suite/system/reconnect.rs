@@ -204,15 +204,12 @@ const SLOW_STARTS_MAX: usize = 10;
 
 #[test]
 fn a_feeder_is_told_and_feeds_again_on_the_same_connection() {
-    let is_reported = (0..SLOW_STARTS_MAX).any(|_| is_told_of_the_restart_and_feeds_again());
-    assert!(
-        is_reported,
-        "every start of a daemon took more than a second"
-    );
+    let is_seen = (0..SLOW_STARTS_MAX).any(|_| sees_the_restart_and_feeds_again());
+    assert!(is_seen, "every start of a daemon took more than a second");
 }
 
 /// False if the start took so long that the feeder detected silence.
-fn is_told_of_the_restart_and_feeds_again() -> bool {
+fn sees_the_restart_and_feeds_again() -> bool {
     let place = place(PATIENT);
     let mut daemon = Some(begin(&place));
     let connection = connect(&place);

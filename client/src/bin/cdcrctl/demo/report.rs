@@ -164,7 +164,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn misses_have_causes_a_baseline_and_a_verdict_in_the_json() {
+    fn misses_have_causes_a_baseline_and_a_diagnosis_in_the_json() {
         let mut cycles = missed(&[LateCause::Platform, LateCause::Platform, LateCause::Load]);
         cycles[7].late_start = true;
         let json = serde_json::to_value(report(&cycles, &Status::default())).expect("JSON");

@@ -45,7 +45,7 @@ pub(super) fn text(report: &DemoReport, status: &Status) -> Result<String, Error
     counts(&mut out, report, status)?;
     beside(&mut out, report)?;
     real_time(&mut out, status)?;
-    verdict(&mut out, &report.verdict)?;
+    diagnosis(&mut out, &report.verdict)?;
     if let Some(folder) = &report.out {
         writeln!(
             out,
@@ -137,12 +137,12 @@ fn beside(out: &mut String, report: &DemoReport) -> Result<(), Error> {
     Ok(())
 }
 
-fn verdict(out: &mut String, verdict: &Diagnosis) -> Result<(), Error> {
-    writeln!(out, "\n{}", wrapped(&verdict.text))?;
-    if let Some(grant) = verdict.grant {
+fn diagnosis(out: &mut String, diagnosis: &Diagnosis) -> Result<(), Error> {
+    writeln!(out, "\n{}", wrapped(&diagnosis.text))?;
+    if let Some(grant) = diagnosis.grant {
         writeln!(out, "Grant real time: {grant}")?;
     }
-    match &verdict.next {
+    match &diagnosis.next {
         Some(next) => writeln!(out, "Next: {next}"),
         None => Ok(()),
     }
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn misses_have_their_causes_below_them_and_a_verdict_at_the_end() {
+    fn misses_have_their_causes_below_them_and_a_diagnosis_at_the_end() {
         use LateCause::{Load, Platform};
         let cycles = missed(&[Load, Platform, Platform]);
         let report = report(&cycles, &Status::default());

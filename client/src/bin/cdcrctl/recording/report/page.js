@@ -709,10 +709,10 @@ function histograms() {
       }
       return svg;
     });
-    const told = count
+    const summary = count
       ? `median ${percentile(p50_us)}, 99 % ${percentile(p99_us)}, 99.9 % ${percentile(p999_us)}, max ${number(max_us, 3)} µs; ${count} cycles, ${below_1_us} left and ${above} right of the chart`
       : 'none';
-    row.append(element('figure', {}, element('figcaption', {}, element('b', {}, `${name}: cycles`)), holder, element('p', { class: 'quiet' }, told)));
+    row.append(element('figure', {}, element('figcaption', {}, element('b', {}, `${name}: cycles`)), holder, element('p', { class: 'quiet' }, summary)));
   }
   const names = ['response_us', 'solve_us'];
   const [, most_us] = extent(names);
