@@ -14,9 +14,12 @@ const TIME_CONSTANT_WITH_PLAY_S: f64 = 0.2;
 /// have up to 0.073; 10 % in lengths gives 0.1, and cables that are 1 mm too long 0.115.
 const OFFSET_MAX_SHARE: f64 = 1.0 / 9.0;
 
+/// And never farther than this \[m\], whatever the robot's length.
+const OFFSET_MAX_M: f64 = 0.1;
+
 /// Largest offset of a measured tip from its bends that is followed (m), of a robot of this length.
 pub fn tip_offset_max_m(reach_m: f64) -> f64 {
-    OFFSET_MAX_SHARE * reach_m
+    OFFSET_MAX_M.min(OFFSET_MAX_SHARE * reach_m)
 }
 
 /// After so many larger ones in a row the margin covers them: fewer may be an error of the sensor.
@@ -333,11 +336,14 @@ mod tests {
         }
     }
 
-    /// A small robot believes a sensor no farther than its own size allows, a large one as far; the offset follows within.
+    /// A small robot believes a sensor no farther than its own size allows, a large one no farther than 0.1 m; the offset follows within.
     #[test]
     fn the_largest_offset_is_a_share_of_the_length() {
-        for reach_m in [0.05, 0.3, 0.9, 4.0] {
-            for (share, expected) in [(0.1, true), (0.105, true), (0.12, false), (0.5, false)] {
+        let small = [(0.1, true), (0.105, true), (0.12, false), (0.5, false)];
+        let large = [(0.01, true), (0.024, true), (0.026, false), (0.1, false)];
+        let robots = [(0.05, small), (0.3, small), (0.9, small), (4.0, large)];
+        for (reach_m, shares) in robots {
+            for (share, expected) in shares {
                 let mut offset = TipOffset::new(1e-4 * reach_m);
                 let model_tip_m = Vector3::new(0.0, 0.0, reach_m);
                 let mut used = true;

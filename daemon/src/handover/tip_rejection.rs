@@ -33,12 +33,12 @@ impl fmt::Display for TipRejection {
         let [away_mm, limit_mm] = [1e3 * self.away_m, 1e3 * self.limit_m];
         write!(
             f,
-            "the measured tip is not used, {away_mm:.1} mm from where the bends place it; the limit is {limit_mm:.1} mm, a ninth of the robot's length. "
+            "the measured tip is not used, {away_mm:.1} mm from where the bends place it; the limit is {limit_mm:.1} mm, a ninth of the robot's length and at most 100 mm. "
         )?;
         if self.away_m > self.limit_m {
             write!(
                 f,
-                "The body counts as that much thicker meanwhile. Usual causes: (1) the frame of the sensor is not that of the base: compare origin and axes with the robot straight \
+                "Usual causes: (1) the frame of the sensor is not that of the base: compare origin and axes with the robot straight \
                  and bent (docs/drivers.md, Frames); (2) the sensor sends millimetres: send metres; (3) lengths or cable radii of the configuration are wrong: cdcrctl calibrate geometry; \
                  (4) the encoders have lost their zero: docs/drivers.md, Zero; (5) the sensor sees something else than the tip"
             )
@@ -46,7 +46,7 @@ impl fmt::Display for TipRejection {
             write!(
                 f,
                 "Usual causes: (1) it jumps: look for reflections and lost sights; (2) it is frozen, with the same bits again: check that the sensor measures; \
-                 (3) it was beyond the limit before: it is used again after some time, or after cdcrctl stop and reset"
+                 (3) it was beyond the limit before: it is used again after some time. After many jumps or a freeze it is used again only after cdcrctl stop and reset, or from a sensor that is started again"
             )
         }
     }
