@@ -114,7 +114,14 @@ fn run_with(
                 "the robot was {reported} before this daemon started and not reset since: it stays stopped until \
                  `cdcrctl reset`"
             );
-            cycle.stopped_before()
+            let is_in_doubt = shared.latch.is_pose_in_doubt();
+            if is_in_doubt {
+                tracing::warn!(
+                    "it was measured far from where its last command had left it: the reset has to accept the pose \
+                     (`cdcrctl reset --accept-pose`)"
+                );
+            }
+            cycle.stopped_before().doubting_pose(is_in_doubt)
         }
     };
     let reporter = spawn_reporter(validated, ends.reporter, shared, daemon_id)?;
@@ -422,6 +429,9 @@ pub fn run_cycles(
             let record = cycle.run_into(memory, release, inputs, next_request, clock);
             // Before any other thread receives the record.
             keep_latched(shared.latch, mode, record.mode);
+            if record.mode.is_latched() {
+                shared.latch.doubt_pose(record.seen.pose_differs);
+            }
             mode = record.mode;
         });
         exchange.unpark();

@@ -11,6 +11,8 @@ use crate::mapped;
 
 /// No stop, and no fault.
 const FREE: u64 = 0;
+/// Beside the mode: the robot was measured far from where its last command left it.
+const POSE_IN_DOUBT: u64 = 1 << 31;
 
 /// The latch of a robot, for every daemon of it. The default keeps nothing.
 #[derive(Debug, Clone, Copy, Default)]
@@ -26,7 +28,7 @@ impl Latch {
     /// Mode and reason of the latch as text, until a reset.
     pub fn describe(&self) -> Option<String> {
         let word = self.word();
-        let (mode, reason) = (word as u32, (word >> 32) as u32);
+        let (mode, reason) = ((word & !POSE_IN_DOUBT) as u32, (word >> 32) as u32);
         let description = || format!("{} ({})", Mode::text_of(mode), Reason::text_of(reason));
         (word != FREE).then(description)
     }
@@ -34,6 +36,19 @@ impl Latch {
     /// Latches a stop or a fault.
     pub fn set(&self, mode: Mode, reason: Reason) {
         self.store(word_of(mode, reason));
+    }
+
+    /// The last daemon left the pose in doubt.
+    pub fn is_pose_in_doubt(&self) -> bool {
+        self.word() & POSE_IN_DOUBT != 0
+    }
+
+    /// Notes beside a stop or a fault whether the pose is in doubt.
+    pub fn doubt_pose(&self, is_in_doubt: bool) {
+        let word = self.word();
+        if word != FREE && self.is_pose_in_doubt() != is_in_doubt {
+            self.store(word ^ POSE_IN_DOUBT);
+        }
     }
 
     /// Clears the latch after a reset.
@@ -102,7 +117,15 @@ mod tests {
         assert!(!latch.leave(&path).unwrap());
         let found = Latch::open(&path).unwrap();
         assert_eq!(found.describe().as_deref(), Some(description));
+        for is_in_doubt in [true, true, false, true] {
+            found.doubt_pose(is_in_doubt);
+            let next = Latch::open(&path).unwrap();
+            assert_eq!(next.is_pose_in_doubt(), is_in_doubt);
+            assert_eq!(next.describe().as_deref(), Some(description));
+        }
         found.clear();
+        // There is no doubt without a stop.
+        found.doubt_pose(true);
         assert_eq!(Latch::open(&path).unwrap().describe(), None);
     }
 }

@@ -216,7 +216,7 @@ impl Reporter {
             totals: record.totals,
             mode: self.last_mode,
             reason: convert::reason(record.mode.reason()),
-            reset_refused_by: (record.reset_refused_by)
+            reset_refused_by: (record.seen.reset_refused_by())
                 .filter(|_| record.mode.is_latched())
                 .map(convert::reason),
             faults: record.faults,
@@ -236,7 +236,9 @@ impl Reporter {
             reference_position_m: convert::reference_position_m(record).into(),
             measured_error_m: self.measured_error.distance_m(),
             following: record.following,
-            following_warning: record.following.largest_rad() > record.policy.following.warning_rad,
+            following_warning: !record.mode.is_latched()
+                && record.following.largest_rad() > record.policy.following.warning_rad,
+            pose_differs: record.seen.pose_differs,
             tip_measured_ns: (record.tip_measurement).map_or(0, |timed| timed.measured_ns),
             refused_tips: inputs.refused_tips,
             tip_rejected: self.tip_rejected,

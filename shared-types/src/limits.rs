@@ -1,5 +1,9 @@
 //! Every limit of the wire contract, with its reason. Nothing is unbounded.
 
+/// A robot that was held by its motors is not measured farther from where its last command left it: a bend of a section
+/// \[rad\]. Beyond, its encoders may have lost their zero, and a reset has to accept the pose.
+pub const POSE_DIFFERS_RAD: f64 = 0.2;
+
 /// Declares the limits, and the list of them.
 macro_rules! limits {
     ($($(#[doc = $doc:literal])+ $name:ident = $value:expr;)+) => {

@@ -125,6 +125,7 @@ impl Before {
             },
             // Requests refused for one of these reasons are not among the accepted ones.
             too_far: false,
+            measurement_rejected: false,
             pose_differs: false,
             lease: match codes::LeaseState::try_from(record.lease_state) {
                 Ok(codes::LeaseState::Held) => LeaseState::Held,

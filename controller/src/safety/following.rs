@@ -46,6 +46,18 @@ impl FollowingError {
     }
 }
 
+/// Smallest and largest value of each component.
+type Range = (Configuration, Configuration);
+
+/// A measurement of a robot that executes its commands.
+#[derive(Debug, Clone, Copy)]
+struct Followed {
+    at: Configuration,
+    /// The robot completes its commands at the commanded value plus the first to the second of these. Speeds: their integral
+    /// has returned to measurements that lag, so the motion of the lag is still to come. Positions: the error remains.
+    beside: Range,
+}
+
 /// Compares measurements with the commands of the last [`lag_s`](FollowingRules::lag_s). A robot with a lag
 /// or delay up to `lag_s` may be anywhere between the smallest and the largest commanded value of that time;
 /// a component of the bend vector inside that range has no error.
@@ -70,12 +82,11 @@ pub struct FollowingWatch {
     now_s: f64,
     /// Time since the last measurement \[s\].
     unmeasured_s: f64,
-    /// In a latched mode: smallest and largest commanded value of each component since the lag before it, and the last place
-    /// measured before. Motors that stopped at once, also those of a driver that fell silent, and motors that complete their
-    /// motion rest in this range.
-    latched: Option<(Configuration, Configuration)>,
-    /// The last measurement, unless its error was a warning.
-    followed: Option<Configuration>,
+    /// In a latched mode: smallest and largest value of each component where the robot may rest. Motors may have stopped at
+    /// once, also those of a driver that fell silent, or complete their motion.
+    latched: Option<Range>,
+    /// The last measurement in control, unless its error was a fault.
+    followed: Option<Followed>,
     error: FollowingError,
 }
 
@@ -119,13 +130,24 @@ impl FollowingWatch {
     /// Whether the robot is in a latched mode from now on.
     pub fn latch(&mut self, is_latched: bool) {
         if is_latched != self.latched.is_some() {
-            self.latched = is_latched.then(|| {
-                let mut range = self.commanded_range();
-                if let Some(followed) = &self.followed {
-                    widen(&mut range, followed.as_slice());
-                }
-                range
-            });
+            self.latched = is_latched.then(|| self.commanded_range());
+            if let (Some(range), Some(followed)) = (&mut self.latched, &self.followed) {
+                widen(range, &followed.at);
+            }
+            self.widen_latched();
+        }
+    }
+
+    /// Widens the range of a latched mode by where the commands so far lead.
+    fn widen_latched(&mut self) {
+        let Some(range) = &mut self.latched else {
+            return;
+        };
+        widen(range, &self.commanded);
+        if let Some(Followed { beside, .. }) = &self.followed {
+            for by in [&beside.0, &beside.1] {
+                widen(range, &sum(&self.commanded, 1.0, by));
+            }
         }
     }
 
@@ -145,9 +167,7 @@ impl FollowingWatch {
             }
         }
         self.commanded = self.commanded.advanced(rates, moving_s);
-        if let Some(range) = &mut self.latched {
-            widen(range, self.commanded.as_slice());
-        }
+        self.widen_latched();
         self.unmeasured_s += elapsed_s;
         self.now_s += elapsed_s;
     }
@@ -170,9 +190,23 @@ impl FollowingWatch {
             bend_rad: core::array::from_fn(|j| off.bend_rad(j)),
             cable_m: robot.cable_strokes(&off),
         };
-        let is_good = self.error.largest_rad() <= self.rules.warning_rad;
-        self.followed = is_good.then_some(*measured);
+        if self.latched.is_none() {
+            let beside = if self.obeys_positions {
+                (off, off)
+            } else {
+                (sum(measured, -1.0, &most), sum(measured, -1.0, &least))
+            };
+            self.followed = (!self.is_broken()).then_some(Followed {
+                at: *measured,
+                beside,
+            });
+        }
         &self.error
+    }
+
+    /// A measurement without bends, to which the last error does not apply.
+    pub fn unmeasured(&mut self) {
+        self.error = FollowingError::default();
     }
 
     /// Error at the last measurement.
@@ -186,7 +220,7 @@ impl FollowingWatch {
     }
 
     /// Smallest and largest commanded value of each component within the lag.
-    fn commanded_range(&self) -> (Configuration, Configuration) {
+    fn commanded_range(&self) -> Range {
         let since_s = self.now_s - self.rules.lag_s;
         let (mut least, mut most) = (self.commanded, self.commanded);
         let range = least.as_mut_slice().iter_mut().zip(most.as_mut_slice());
@@ -209,13 +243,22 @@ impl FollowingWatch {
     }
 }
 
-/// Widens a range of each component by a value.
-fn widen((least, most): &mut (Configuration, Configuration), values: &[f64]) {
+/// Widens a range by a configuration.
+fn widen((least, most): &mut Range, by: &Configuration) {
     let range = least.as_mut_slice().iter_mut().zip(most.as_mut_slice());
-    for ((least, most), value) in range.zip(values) {
+    for ((least, most), value) in range.zip(by.as_slice()) {
         *least = least.min(*value);
         *most = most.max(*value);
     }
+}
+
+/// One configuration and the multiple of another.
+fn sum(one: &Configuration, factor: f64, other: &Configuration) -> Configuration {
+    let mut sum = *one;
+    for (sum, other) in sum.as_mut_slice().iter_mut().zip(other.as_slice()) {
+        *sum += factor * other;
+    }
+    sum
 }
 
 #[cfg(test)]
@@ -347,10 +390,55 @@ mod tests {
                 let error_rad = turn(0.0, 0.4, true);
                 assert!((error_rad - 0.5).abs() < 0.02, "{error_rad} rad");
             }
+            // Speeds lead on by the motion of the lag.
             let moved = turn(0.0, 1.5, true);
-            assert!((moved - 0.48).abs() < 0.02, "{moved} rad");
+            let expected_rad = if obeys_positions { 0.48 } else { 0.37 };
+            assert!((moved - expected_rad).abs() < 0.02, "{moved} rad");
             watch.begin(bends(1.5, 0.0));
             assert!(watch.measured(&robot, &bends(1.5, 0.0)).largest_rad() < 1e-12);
+        }
+    }
+
+    /// Motors that lag complete their motion after the stop: speeds beyond the integral, which has returned to what was
+    /// measured, positions with a droop beside it. They rest where their commands led them, whatever the error was before,
+    /// unless it was a fault.
+    #[test]
+    fn motors_that_complete_their_motion_rest_where_their_commands_led_them() {
+        let robot = robot();
+        for (obeys_positions, rate_rad_s, delay, lag_s, droop_rad) in [
+            (false, 2.0, 6, 0.1, 0.0),
+            (false, 2.0, 12, 0.1, 0.0),
+            (false, 1.0, 40, 0.05, 0.0),
+            (false, 1.0, 10, 0.2, 0.0),
+            (false, -2.0, 6, 0.1, 0.0),
+            (true, 2.0, 6, 0.1, 0.0),
+            (true, 0.5, 6, 0.1, 0.25),
+        ] {
+            for stop_s in [0.3, 1.0, 2.0, 4.0] {
+                let rules = FollowingRules {
+                    lag_s: 0.1 + lag_s + f64::from(delay) * PERIOD_S,
+                    ..RULES
+                };
+                let mut watch = FollowingWatch::new(rules, obeys_positions, bends(0.0, 0.0));
+                let mut queue = std::collections::VecDeque::from(vec![0.0; delay as usize]);
+                let (mut goal, mut motor, mut rate) = (0.0, 0.0, 0.0_f64);
+                for step in 0..2000 {
+                    let is_latched = f64::from(step) * PERIOD_S > stop_s;
+                    watch.latch(is_latched);
+                    let wanted: f64 = if is_latched { 0.0 } else { rate_rad_s };
+                    rate += (wanted - rate).clamp(-0.1, 0.1);
+                    let rates = BendRates::from_slice(&[rate, 0.0]).unwrap();
+                    watch.commanded(&rates, PERIOD_S, PERIOD_S);
+                    goal += PERIOD_S * rate;
+                    queue.push_back(goal);
+                    motor += PERIOD_S / lag_s * (queue.pop_front().unwrap() - motor);
+                    watch.measured(&robot, &bends(motor - droop_rad, 0.0));
+                    assert!(!watch.is_broken());
+                }
+                let rests_rad = watch.error().largest_rad();
+                let case = (obeys_positions, rate_rad_s, delay, lag_s, stop_s);
+                assert!(rests_rad < 0.03, "{case:?}: {rests_rad} rad");
+            }
         }
     }
 

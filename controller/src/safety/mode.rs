@@ -210,6 +210,8 @@ pub struct Observation {
     pub wait: Option<Reason>,
     /// A fault that is present in this cycle.
     pub fault: Option<Reason>,
+    /// Whether the newest measurement was rejected: where the robot is measured is not known.
+    pub measurement_rejected: bool,
     /// Whether the robot is measured far from where its last command left it.
     pub pose_differs: bool,
 }
@@ -221,8 +223,9 @@ impl Observation {
             return Some(Reason::MeasurementLost);
         }
         let misses = self.misses_overflow.then_some(Reason::DeadlineMisses);
+        let rejected = self.measurement_rejected.then_some(Reason::MeasurementJump);
         let pose = self.pose_differs.then_some(Reason::PoseDiffers);
-        self.fault.or(misses).or(pose)
+        self.fault.or(misses).or(rejected).or(pose)
     }
 }
 

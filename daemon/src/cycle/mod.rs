@@ -73,6 +73,8 @@ pub struct Cycle {
     stale_ns: u64,
     /// The robot left a latched mode, and control has not begun since.
     control_begins: bool,
+    /// The daemon before this one left the pose in doubt.
+    pose_in_doubt: bool,
     /// Suspend count of the machine at the last cycle.
     suspends: u64,
     clearance: present_clearance::PresentClearance,
@@ -113,6 +115,7 @@ impl Cycle {
             state,
             rehearsal: Rehearsal::new(RobotState::new(robot.clone(), policy, period_ns, *initial)),
             control_begins: false,
+            pose_in_doubt: false,
             stale_ns: 0,
             suspends: 0,
             modes: ModeMachine::default(),
@@ -230,8 +233,8 @@ impl Cycle {
 
         let reference = inputs.window.get(release.cycle);
         let seen = self.observe(measurement, &reference, inputs);
-        let control_begins = self.control_begins;
-        let mode_before = self.modes.mode();
+        let (control_begins, mode_before) = (self.control_begins, self.modes.mode());
+        let following = *self.state.following().error();
         self.modes.observe(&seen);
         self.note_latch(mode_before, &release);
         let answers = self.answer(next_request, inputs, &seen, &release);
@@ -279,7 +282,7 @@ impl Cycle {
             stale_inputs,
             totals: *self.accounting.totals(),
             miss_bucket: self.accounting.bucket().level(),
-            reset_refused_by: seen.reset_refused_by(),
+            seen,
             control_begins,
             mode: self.modes.mode(),
             faults: self.modes.faults(),
@@ -302,7 +305,7 @@ impl Cycle {
             slack: self.state.commanded_slack().copied(),
             configuration,
             commanded: *self.state.commanded(),
-            following: *self.state.following().error(),
+            following,
             previous_rates,
             ran_out_in_solve,
             way,
@@ -358,6 +361,7 @@ impl Cycle {
     /// their motion, unless a request to move comes earlier. A commanded position elsewhere then moves to the robot.
     fn begin_control(&mut self, was_latched: bool) {
         let mode = self.modes.mode();
+        self.end_doubt();
         self.control_begins = (self.control_begins || was_latched) && !mode.is_latched();
         if !self.control_begins {
             self.state.give_up_way();

@@ -1,14 +1,11 @@
 //! Observations that the mode machine receives before it decides.
 
 use cdcr_controller::reference::ReferenceSample;
-use cdcr_controller::safety::{Observation, Reason};
+use cdcr_controller::safety::{Mode, Observation, Reason};
+use cdcr_shared_types::limits::POSE_DIFFERS_RAD;
 
 use super::Cycle;
 use crate::handover::{CycleInputs, TimedMeasurement};
-
-/// A robot that was held by its motors is not measured farther from where its last command left it: a bend of a section
-/// \[rad\]. Beyond, its encoders may have lost their zero, and a person decides.
-const POSE_DIFFERS_RAD: f64 = 0.2;
 
 impl Cycle {
     pub(super) fn observe(
@@ -29,8 +26,24 @@ impl Cycle {
             suspended: core::mem::replace(&mut self.suspends, inputs.suspends) != inputs.suspends,
             wait: self.wait(inputs, reference),
             fault: self.fault(measurement),
-            pose_differs: self.state.following().error().largest_rad() > POSE_DIFFERS_RAD,
+            measurement_rejected: self.state.is_measurement_rejected(),
+            pose_differs: self.pose_in_doubt
+                || self.state.following().error().largest_rad() > POSE_DIFFERS_RAD,
         }
+    }
+
+    /// The daemon before this one ended while the robot was measured far from where its last command had left it. This one
+    /// does not know that place: the first reset has to accept the pose.
+    #[must_use]
+    pub fn doubting_pose(mut self, is_in_doubt: bool) -> Self {
+        self.pose_in_doubt = is_in_doubt;
+        self
+    }
+
+    /// A reset was granted: the pose is accepted.
+    pub(super) fn end_doubt(&mut self) {
+        let mode = self.modes.mode();
+        self.pose_in_doubt &= mode.is_latched() || mode == Mode::Starting;
     }
 
     /// Reason to hold although there is no fault.

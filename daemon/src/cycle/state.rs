@@ -58,6 +58,8 @@ pub(super) struct RobotState {
     unmeasured_ns: u64,
     /// Time for which the robot has been straight within the tolerance \[ns\].
     straight_ns: u64,
+    /// The newest measurement was a jump.
+    is_measurement_rejected: bool,
     /// Fault found in the measurement of this cycle.
     measurement_fault: Option<Reason>,
 }
@@ -100,6 +102,7 @@ impl RobotState {
             silence: SilenceWatch::new(&policy),
             unmeasured_ns: 0,
             straight_ns: 0,
+            is_measurement_rejected: false,
             measurement_fault: None,
         }
     }
@@ -193,10 +196,11 @@ impl RobotState {
         }
         let is_first = self.last_measured_ns == 0;
         self.last_measured_ns = measured_ns;
-        match self
+        let found = self
             .plausibility
-            .check(&self.robot, &measurement, measured_ns)
-        {
+            .check(&self.robot, &measurement, measured_ns);
+        self.is_measurement_rejected = matches!(found, Plausibility::Jump | Plausibility::Lost);
+        match found {
             Plausibility::Jump => return MeasurementUse::Implausible,
             Plausibility::Lost => {
                 self.measurement_fault = Some(Reason::MeasurementJump);
@@ -212,8 +216,8 @@ impl RobotState {
         }
         let age_s = age_s(measured_ns, release_ns);
         if let Some(rest) = self.silence.rest(&timed, release_ns) {
-            let (robot, ages_s) = (&self.robot, rest.ages_s(release_ns));
-            let estimator = &mut self.estimator;
+            let (robot, estimator) = (&self.robot, &mut self.estimator);
+            let ages_s = rest.ages_s(release_ns);
             if estimator.rested(robot, &measurement, age_s, &ages_s, rest.was_silent) {
                 self.silence.believe(&rest);
             }
@@ -232,6 +236,8 @@ impl RobotState {
         if let Some(measured) = &self.measured {
             self.following.measured(&self.robot, measured);
             self.bend_limit.measured(measured, measured_ns);
+        } else {
+            self.following.unmeasured();
         }
         MeasurementUse::Used
     }
@@ -463,11 +469,14 @@ impl RobotState {
         bends.all(|bend| bend.abs() < tolerance_rad)
     }
 
+    pub(super) fn is_measurement_rejected(&self) -> bool {
+        self.is_measurement_rejected
+    }
+
     pub(super) fn measurement_fault(&self) -> Option<Reason> {
-        if self.unmeasured_ns > self.policy.measurement_timeout_ns {
-            return Some(Reason::MeasurementLost);
-        }
-        self.measurement_fault
+        let is_lost = self.unmeasured_ns > self.policy.measurement_timeout_ns;
+        let lost = is_lost.then_some(Reason::MeasurementLost);
+        lost.or(self.measurement_fault)
     }
 
     /// Fault of the robot's configuration.

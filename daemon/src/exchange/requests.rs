@@ -3,6 +3,7 @@
 
 use cdcr_controller::safety::Request as ModeRequest;
 use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
+use cdcr_shared_types::limits::POSE_DIFFERS_RAD;
 use cdcr_shared_types::{Header, Request, Response, Service, ipc};
 use iceoryx2::active_request::ActiveRequest;
 
@@ -185,10 +186,14 @@ impl Exchange {
             // With several waiting records, only the hand-over time identifies the cycle that decided.
             let decided_ns = record.handed_over_ns;
             self.note_request(&header, kind, outcome, record.gather, decided_ns);
-            let (pose_section, pose_difference_rad) = match outcome {
-                Outcome::PoseDiffers => record.following.largest(),
-                _ => (0, 0.0),
+            let largest = match outcome {
+                Outcome::PoseDiffers => Some(record.following.largest()),
+                _ => None,
             };
+            // Smaller where the daemon before this one left the pose in doubt.
+            let (pose_section, pose_difference_rad) = largest
+                .filter(|(_, rad)| *rad > POSE_DIFFERS_RAD)
+                .unwrap_or_default();
             let response = Response {
                 cycle: record.release.cycle,
                 mode: convert::mode(record.mode).code(),

@@ -4,7 +4,7 @@ use cdcr_controller::estimator::Slack;
 use cdcr_controller::nmpc::{PLAN_MAX, SolveReport};
 use cdcr_controller::reference::{Approach, ReferenceSample};
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
-use cdcr_controller::safety::{FollowingError, LeaseState, LimitsHit, Mode, Reason};
+use cdcr_controller::safety::{FollowingError, LeaseState, LimitsHit, Mode, Observation};
 use nalgebra::Vector3;
 
 use super::{Policy, Settings};
@@ -105,8 +105,8 @@ pub struct CycleFacts {
     pub totals: Totals,
     /// Level of the leaky bucket after this cycle.
     pub miss_bucket: u32,
-    /// Why this cycle refuses a reset.
-    pub reset_refused_by: Option<Reason>,
+    /// What the mode was decided by.
+    pub seen: Observation,
     /// After a latched mode, control had not yet begun when the cycle checked for faults.
     pub control_begins: bool,
     /// Mode in which the command was computed.

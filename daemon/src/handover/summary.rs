@@ -80,8 +80,10 @@ pub struct Summary {
     /// them.
     pub measured_error_m: f64,
     pub following: FollowingError,
-    /// The following error exceeds its warning limit.
+    /// The following error exceeds its warning limit, outside Stopped and Faulted.
     pub following_warning: bool,
+    /// A reset has to accept the pose, or had to in this cycle.
+    pub pose_differs: bool,
     /// Last measurement of the tip beside bends or cables \[ns\]; 0: none.
     pub tip_measured_ns: u64,
     /// Measurements of the tip that were refused so far.

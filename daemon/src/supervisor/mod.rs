@@ -249,6 +249,15 @@ impl Supervisor {
                 tracing::info!(cycle = summary.cycle, reason, "{mode}: {reason}");
             }
         }
+        let was_latched = matches!(self.newest.mode, Mode::Stopped | Mode::Faulted);
+        let is_latched = matches!(summary.mode, Mode::Stopped | Mode::Faulted);
+        if was_latched && !is_latched && summary.pose_differs {
+            let (section, rad) = summary.following.largest();
+            tracing::warn!(
+                cycle = summary.cycle,
+                "the reset accepted a pose that differs from that of the last command: section {section} by {rad:.2} rad"
+            );
+        }
         if summary.following_warning
             && !self.newest.following_warning
             && self.late_logged_at.elapsed() >= LATE_LINE_EVERY

@@ -3,11 +3,14 @@ use std::io::{IsTerminal as _, Write as _};
 use std::thread;
 use std::time::Duration;
 
-use cdcr_client::{Connection, counted, monotonic_ns, realtime_missing, reason_remedy, text};
+use cdcr_client::{
+    Connection, PoseDifference, counted, monotonic_ns, realtime_missing, reason_remedy, text,
+};
 use cdcr_controller::safety::FarthestBend;
 use cdcr_shared_types::codes::{
     Interface, LateCause, Mode, Outcome, Reason, RobotLink, SolverKind,
 };
+use cdcr_shared_types::limits::POSE_DIFFERS_RAD;
 use cdcr_shared_types::message::{Field, Struct};
 use cdcr_shared_types::{LatencySummary, Statistics, Status};
 use serde_json::{Value, json};
@@ -134,7 +137,8 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
     }
     if status.reset_refused_by != Reason::Start.code() {
         let cause = Reason::text_of(status.reset_refused_by);
-        writeln!(out, "reset       is refused now: {cause}")?;
+        let pose = pose_difference(status);
+        writeln!(out, "reset       is refused now: {cause}{pose}")?;
         let reason = Reason::try_from(status.reset_refused_by);
         if let Some(reason) = reason.ok().filter(|reason| reason.code() != status.reason) {
             writeln!(out, "            {}", reason_remedy(reason))?;
@@ -157,6 +161,19 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
         writeln!(out, "            {name} is missing: {remedy}")?;
     }
     Ok(())
+}
+
+/// Section and distance, where a reset has to accept them.
+fn pose_difference(status: &Status) -> PoseDifference {
+    if status.reset_refused_by != Reason::PoseDiffers.code() {
+        return PoseDifference::default();
+    }
+    let sections = (1..).zip(status.following_error_rad);
+    let sections = sections.map(|(section, rad)| PoseDifference { section, rad });
+    sections
+        .filter(|pose| pose.rad > POSE_DIFFERS_RAD)
+        .max_by(|a, b| a.rad.total_cmp(&b.rad))
+        .unwrap_or_default()
 }
 
 /// The largest following error of a section (rad).

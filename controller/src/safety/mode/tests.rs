@@ -159,6 +159,15 @@ fn latched_modes_stay_until_reset_and_reset_waits_for_the_cause() {
         // The pose alone is accepted, no fault.
         let refused = asked(mode, accepting, elsewhere(Some(Reason::LimitBroken)));
         assert_eq!(refused, Err(Refusal::CauseStands));
+        // Nobody knows what a rejected measurement would have shown.
+        let blind = Observation {
+            measurement_rejected: true,
+            ..good()
+        };
+        for request in [Request::Reset, accepting] {
+            assert_eq!(asked(mode, request, blind), Err(Refusal::CauseStands));
+        }
+        assert_eq!(blind.reset_refused_by(), Some(Reason::MeasurementJump));
         let reset = asked(mode, Request::Reset, good());
         assert_eq!(
             reset,

@@ -193,6 +193,58 @@ fn reset_elsewhere(interface: Interface, error_rad: f64) -> (Trial, Result<(), R
     (trial, outcome)
 }
 
+fn outcome(trial: &mut Trial, request: Request) -> Result<(), Refusal> {
+    trial.ask(request).answers[0].unwrap().outcome
+}
+
+/// A robot may droop up to the limit of a fault: it rests there after a stop, too.
+#[test]
+fn a_droop_that_is_no_fault_needs_no_word_at_a_reset() {
+    for interface in [Interface::Velocity, Interface::Position] {
+        let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), DIRECT);
+        trial.turns(3);
+        while trial.cable_error_m[0] < WRONG_M {
+            trial.cable_error_m[0] += 1e-5;
+            trial.turn();
+        }
+        trial.ask(Request::Stop);
+        trial.turns(200);
+        assert_eq!(outcome(&mut trial, Request::Reset), Ok(()), "{interface:?}");
+    }
+}
+
+/// The daemon before this one saw another pose, and this one does not know where the last command led.
+#[test]
+fn a_pose_in_doubt_is_accepted_once() {
+    let mut trial = Trial::new(Interface::Position);
+    trial.cycle = trial.cycle.stopped_before().doubting_pose(true);
+    trial.turns(3);
+    let refused = outcome(&mut trial, Request::Reset);
+    assert_eq!(refused, Err(Refusal::PoseDiffers));
+    assert!(trial.last().seen.pose_differs);
+    let accepted = outcome(&mut trial, Request::ResetAcceptingPose);
+    assert_eq!(accepted, Ok(()));
+    trial.turns(100);
+    trial.ask(Request::Stop);
+    trial.turns(100);
+    assert_eq!(outcome(&mut trial, Request::Reset), Ok(()));
+}
+
+/// What the last measurement would have shown is not known.
+#[test]
+fn a_reset_waits_for_a_measurement_that_is_no_jump() {
+    let mut trial = Trial::new(Interface::Position);
+    trial.turns(100);
+    trial.ask(Request::Stop);
+    trial.cable_error_m[0] = WRONG_M;
+    let refused = outcome(&mut trial, Request::ResetAcceptingPose);
+    assert_eq!(refused, Err(Refusal::CauseStands));
+    let refused_by = trial.last().seen.reset_refused_by();
+    assert_eq!(refused_by, Some(Reason::MeasurementJump));
+    trial.cable_error_m[0] = 0.0;
+    assert_eq!(outcome(&mut trial, Request::Reset), Ok(()));
+}
+
 /// Speeds that are integrated would be forgotten in a second while in control; in a fault the place where the last command
 /// left the robot is kept. A robot that rests on its last motion is no other place.
 #[test]
@@ -204,7 +256,7 @@ fn a_reset_asks_about_a_pose_that_differs_and_about_no_other() {
         }
         let (mut trial, outcome) = reset_elsewhere(interface, 0.35);
         assert_eq!(outcome, Err(Refusal::PoseDiffers), "{interface:?}");
-        let refused_by = trial.last().reset_refused_by;
+        let refused_by = trial.last().seen.reset_refused_by();
         assert_eq!(refused_by, Some(Reason::PoseDiffers));
         let accepted = trial.ask(Request::ResetAcceptingPose);
         assert_eq!(accepted.answers[0].unwrap().outcome, Ok(()));

@@ -128,6 +128,26 @@ fn a_daemon_that_waits_for_its_driver_says_what_it_refused() {
 }
 
 #[test]
+fn a_pose_that_a_reset_has_to_accept_is_shown_with_section_and_distance() {
+    let mut status = Status {
+        mode: Mode::Stopped.code(),
+        reset_refused_by: Reason::PoseDiffers.code(),
+        ..Status::default()
+    };
+    let line = |status: &Status| {
+        let table = table(status, None, 0).expect("formatted");
+        let line = table.lines().find(|line| line.starts_with("reset "));
+        line.expect("a line").to_owned()
+    };
+    let cause = Reason::PoseDiffers.text();
+    let start = format!("reset       is refused now: {cause}");
+    // The daemon before this one left it in doubt.
+    assert_eq!(line(&status), start);
+    status.following_error_rad[..2].copy_from_slice(&[0.3, 0.834]);
+    assert_eq!(line(&status), format!("{start}: section 2 by 0.83 rad"));
+}
+
+#[test]
 fn a_fault_is_shown_with_its_remedy() {
     let status = Status {
         mode: Mode::Faulted.code(),
