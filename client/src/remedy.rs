@@ -24,7 +24,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         }
         Outcome::TipElsewhere => {
             "Check units, signs, order and zero of the driver (bends in rad, cables in m; the scale of the encoders) and the frame of the tip sensor \
-             (docs/drivers.md, Frames, angles, signs); the limit is a ninth of the robot's length. Without tips for a second, the daemon takes the bends as they are."
+             (docs/drivers.md, Frames, angles, signs); the limit is a ninth of the robot's length. To start without the tip sensor, restart cdcrd without link.tip_sensor."
         }
         Outcome::OutOfReach => {
             "Scale or move the reference into the ball whose radius is the robot's length; positions are in m: 150 mm are 0.15."

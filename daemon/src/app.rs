@@ -106,24 +106,7 @@ fn run_with(
     let clock = MonotonicClock;
     let mut supervisor = Supervisor::new(validated, ends.supervisor, daemon_id, &clock)?;
 
-    let cycle = make_cycle(validated, &clock)?;
-    let cycle = match shared.latch.describe() {
-        None => cycle,
-        Some(reported) => {
-            tracing::warn!(
-                "the robot was {reported} before this daemon started and not reset since: it stays stopped until \
-                 `cdcrctl reset`"
-            );
-            let is_in_doubt = shared.latch.is_pose_in_doubt();
-            if is_in_doubt {
-                tracing::warn!(
-                    "it was measured far from where its last command had left it: the reset has to accept the pose \
-                     (`cdcrctl reset --accept-pose`)"
-                );
-            }
-            cycle.stopped_before().doubting_pose(is_in_doubt)
-        }
-    };
+    let cycle = as_left_before(make_cycle(validated, &clock)?, shared.latch);
     let reporter = spawn_reporter(validated, ends.reporter, shared, daemon_id)?;
     // In sequence: each of them checks the free space for itself.
     if let Err(error) = reporter.wait_ready() {
@@ -392,6 +375,25 @@ fn spawn_cycle(
         shared.cycle_ended.set(true);
         exchange.unpark();
     })
+}
+
+/// A cycle that starts latched where the daemon before was, and doubts the pose where that did.
+fn as_left_before(cycle: Cycle, latch: Latch) -> Cycle {
+    let Some(reported) = latch.describe() else {
+        return cycle;
+    };
+    tracing::warn!(
+        "the robot was {reported} before this daemon started and not reset since: it stays stopped until \
+         `cdcrctl reset`"
+    );
+    let is_in_doubt = latch.is_pose_in_doubt();
+    if is_in_doubt {
+        tracing::warn!(
+            "it was measured far from where its last command had left it: the reset has to accept the pose \
+             (`cdcrctl reset --accept-pose`)"
+        );
+    }
+    cycle.stopped_before().doubting_pose(is_in_doubt)
 }
 
 /// The life of the cycle thread: sleep until the release, run the cycle, hand over the record, wake the

@@ -14,6 +14,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::Location;
+use nalgebra::Vector3;
 use rustix::fs::OFlags;
 use rustix::io::Errno;
 
@@ -238,7 +239,17 @@ fn obstacle_file(lock: &Path) -> PathBuf {
 /// decides: the robot stays stopped, because it may move into one of them.
 fn open_obstacles(path: &Path, latch: Latch) -> Result<KeptObstacles, InstanceError> {
     let kept = KeptObstacles::open(path).map_err(|cause| file_error(path, without_link(cause)))?;
-    match kept.read().map(|set| set.count()) {
+    let set = kept.read();
+    let known = set.iter().flat_map(ObstacleSet::iter);
+    let moving = known.filter(|known| known.obstacle.velocity_m_s() != Vector3::zeros());
+    let moving = moving.count();
+    if moving > 0 {
+        tracing::warn!(
+            "{moving} of the kept obstacles move, and are predicted from where they were measured before: \
+             have them measured again before the robot moves"
+        );
+    }
+    match set.map(|set| set.count()) {
         Some(0) => {}
         Some(1) => tracing::warn!(
             "1 obstacle of the previous daemon is kept; `cdcrctl obstacle clear` removes it"

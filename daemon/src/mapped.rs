@@ -50,7 +50,9 @@ pub(crate) fn make_again(path: &Path, words: &[AtomicU64]) -> Result<()> {
     let values = words.iter().map(|word| word.load(Ordering::Acquire));
     let bytes: Vec<u8> = values.flat_map(u64::to_ne_bytes).collect();
     let file = private().create_new(true).open(path)?;
+    // A part of it would be read as an older state.
     file.write_all_at(&bytes, 0)
+        .inspect_err(|_| drop(std::fs::remove_file(path)))
 }
 
 /// Options that follow no link and wait for no pipe in the file's place.

@@ -18,7 +18,8 @@ impl fmt::Display for MarginShare {
             f,
             "the clearance of {clearance_mm:.1} mm counts the tip margin of {margin_mm:.1} mm: the tip may be that far from where the bends place it"
         )?;
-        if self.margin_m > self.limit_m - self.clearance_m {
+        let lacks_m = self.limit_m - self.clearance_m;
+        if lacks_m > 0.0 && self.margin_m > lacks_m {
             f.write_str(
                 ". Without the margin the clearance may be large enough: a tip sensor that contradicts the bends is the cause then (the log has its distance and the usual causes)",
             )?;
@@ -33,7 +34,8 @@ mod tests {
 
     #[test]
     fn the_sensor_is_named_where_the_margin_alone_makes_the_clearance_too_small() {
-        for (clearance_m, names_sensor) in [(-0.08, true), (-0.2, false)] {
+        // Above the limit, the measured bends beside the estimate are the cause.
+        for (clearance_m, names_sensor) in [(-0.08, true), (-0.2, false), (0.003, false)] {
             let share = MarginShare {
                 clearance_m,
                 margin_m: 0.182,

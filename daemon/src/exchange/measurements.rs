@@ -126,7 +126,10 @@ impl Measurements {
             && refused.outcome == Outcome::TipElsewhere
         {
             self.refused_tips.contradiction_m = 1e-3 * f64::from(refused.detail);
-        } else if let Err(refused) = &taken
+        } else if self.has_bends {
+            self.refused_tips.contradiction_m = 0.0;
+        }
+        if let Err(refused) = &taken
             && message.kind == MeasurementKind::TipPose.code()
         {
             self.refused_tips.count += 1;
@@ -222,7 +225,10 @@ impl Measurements {
         {
             return Err(Refused::at(Outcome::BeyondTurn, index));
         }
+        // A later driver of a robot that was measured is compared with where its last command left it.
         if is_first
+            && !self.has_bends
+            && self.drivers <= 1
             && let Some(away_m) = self.contradiction_m(&timed.measurement, robot, arrival.now_ns)
         {
             return Err(Refused::at(Outcome::TipElsewhere, (1e3 * away_m) as usize));
@@ -232,6 +238,7 @@ impl Measurements {
 
     /// How far the tip is measured from where first bends place it \[m\], if a tip sensor measures and that is too far.
     /// Motors that follow positions would jump with their first command. Later, the body counts as that much thicker.
+    /// A sensor that measures no more, for example because a person stands before it, takes nothing back.
     fn contradiction_m(&self, bends: &Measured, robot: &Robot, now_ns: u64) -> Option<f64> {
         self.tip_sensor?;
         let tip = self.newest_tip?;
@@ -244,7 +251,12 @@ impl Measurements {
         let is_place = tip_m.norm() < 1.5 * robot.reach_m();
         let away_m = (tip_m - robot.tip_position(&bends)).norm();
         let is_far = away_m > tip_offset_max_m(robot.reach_m());
-        (measures && is_place && is_far).then_some(away_m)
+        let before_m = self.refused_tips.contradiction_m;
+        if measures && is_place {
+            is_far.then_some(away_m)
+        } else {
+            (before_m > 0.0).then_some(before_m)
+        }
     }
 }
 

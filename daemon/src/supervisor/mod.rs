@@ -24,7 +24,7 @@ use crate::service_manager::{ServiceManager, StatusLine};
 use crate::status_desk::StatusDesk;
 use statistics::Statistics;
 use steal::{Steal, Stolen};
-use tip_silence::{TipNews, TipSilence};
+use tip_silence::{TipNews, TipSilence, contradiction};
 use watchdog::Watchdog;
 
 /// Ten periods between two checks, within this range: a check costs a wake-up with cold caches.
@@ -414,15 +414,6 @@ fn newest_refusal(refused: RefusedTips) -> String {
         Outcome::Accepted => "; none arrived: check that the tip sensor runs and sends".to_owned(),
         outcome => format!("; the newest was refused: {outcome} (cdcrctl status has the remedy)"),
     }
-}
-
-/// What first bends are refused for while a tip sensor contradicts them.
-fn contradiction(away_m: f64) -> String {
-    format!(
-        ": {:.0} mm away. Usual causes: (1) the driver sends degrees or millimetres; (2) scale, sign, order or zero of its encoders are wrong; \
-         (3) the frame of the tip sensor is not that of the base",
-        1e3 * away_m
-    )
 }
 
 fn is_cut_short(summary: &Summary) -> bool {

@@ -81,6 +81,15 @@ fn is_silent(summary: &Summary) -> bool {
     summary.due_ns.saturating_sub(summary.tip_measured_ns) > SILENT_NS
 }
 
+/// What first bends are refused for while a tip sensor contradicts them.
+pub(super) fn contradiction(away_m: f64) -> String {
+    format!(
+        ": {:.0} mm away. Usual causes: (1) the driver sends degrees or millimetres; (2) scale, sign, order or zero of its encoders are wrong; \
+         (3) the frame of the tip sensor is not that of the base",
+        1e3 * away_m
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

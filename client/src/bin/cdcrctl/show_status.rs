@@ -129,7 +129,8 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
         writeln!(out, "            {bend}")?;
     }
     let reasons = [status.reason, status.reset_refused_by];
-    if let Some(share) = margin_share(&reasons, status.clearance_m, status.tip_margin_m) {
+    // Only telemetry has `safety.clearance_fault_m`; 0 is its default.
+    if let Some(share) = margin_share(&reasons, status.clearance_m, status.tip_margin_m, 0.0) {
         writeln!(out, "            {share}")?;
     }
     if let Some(remedy) = status_remedy(status) {

@@ -54,18 +54,19 @@ fn start_remedy(status: &Status) -> String {
     }
 }
 
-/// The share of the tip margin in a clearance that is a fault or refuses a reset, compared with the default of
-/// `safety.clearance_fault_m`.
+/// The share of the tip margin in a clearance that is a fault or refuses a reset: one below `limit_m`.
 pub(crate) fn margin_share(
     reasons: &[u32],
     clearance_m: f64,
     margin_m: f64,
+    limit_m: f64,
 ) -> Option<MarginShare> {
     let is_cause = reasons.contains(&Reason::ClearanceBroken.code());
-    (is_cause && margin_m > 0.0 && clearance_m.is_finite()).then_some(MarginShare {
+    // Since a fault the obstacle may have gone, and the clearance of the present says nothing of its cause.
+    (is_cause && margin_m > 0.0 && clearance_m < limit_m).then_some(MarginShare {
         clearance_m,
         margin_m,
-        limit_m: 0.0,
+        limit_m,
     })
 }
 

@@ -246,10 +246,16 @@ fn first_bends_that_a_measuring_tip_sensor_contradicts_are_refused() {
         let contradiction_m = rig.desk.refused_tips().contradiction_m;
         assert_eq!(contradiction_m > 0.1, bend_rad > 0.0, "{contradiction_m}");
         assert_eq!(rig.desk.driver_id().is_some(), bend_rad == 0.0);
-        // A sensor that does not measure contradicts nothing, and later bends may be anywhere.
+        // A sensor that measures no more takes nothing back; bends that agree do.
         rig.now_ns += TIP_SENSOR_LOST_NS;
-        assert_eq!(rig.take_cables(1, BENDS, bends), Outcome::Accepted);
+        assert_eq!(rig.take_cables(1, BENDS, bends), outcome);
         rig.accept(2, TIP);
+        assert_eq!(
+            rig.take_cables(1, BENDS, [0.0; CABLES_MAX]),
+            Outcome::Accepted
+        );
+        assert_eq!(rig.desk.refused_tips().contradiction_m, 0.0);
+        // Later bends may be anywhere.
         bends[0] = 2.0;
         assert_eq!(rig.take_cables(1, BENDS, bends), Outcome::Accepted);
     }

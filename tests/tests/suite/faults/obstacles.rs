@@ -343,7 +343,7 @@ fn obstacles_without_a_lifetime_outlive_the_daemon_until_they_are_removed() {
     add(&daemon, &format!("--id 2 {moves}"), "2 known");
     add(
         &daemon,
-        "--id 3 --at 0.5,0.5,0.5 --radius 0.01 --lifetime 60s",
+        "--id 3 --at 0.5,0.5,0.5 --radius 0.01 --lifetime 24h",
         "3 known",
     );
     goto(&daemon, 1, &["obstacle"]);

@@ -158,7 +158,12 @@ fn troubles(record: &Telemetry) -> String {
     let skipped =
         (record.skipped_periods > 0).then(|| format!("skipped {}", record.skipped_periods));
     let fault = (record.mode == Mode::Faulted.code()).then(|| {
-        let share = margin_share(&[record.reason], record.clearance_m, record.tip_margin_m);
+        let share = margin_share(
+            &[record.reason],
+            record.clearance_m,
+            record.tip_margin_m,
+            record.clearance_fault_m,
+        );
         let share = share.map_or_else(String::new, |share| format!(": {share}"));
         format!("faulted: {}{share}", Reason::text_of(record.reason))
     });
