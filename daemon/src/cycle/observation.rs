@@ -2,10 +2,9 @@
 
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::safety::{Mode, Observation, Reason};
-use cdcr_shared_types::limits::POSE_DIFFERS_RAD;
 
 use super::Cycle;
-use crate::handover::{CycleInputs, TimedMeasurement};
+use crate::handover::{CycleInputs, Policy, TimedMeasurement};
 
 impl Cycle {
     pub(super) fn observe(
@@ -28,7 +27,7 @@ impl Cycle {
             fault: self.fault(measurement),
             measurement_rejected: self.state.is_measurement_rejected(),
             pose_differs: self.pose_in_doubt
-                || self.state.following().error().largest_rad() > POSE_DIFFERS_RAD,
+                || self.state.following().error().largest_rad() > Policy::POSE_DIFFERS_RAD,
         }
     }
 

@@ -54,6 +54,9 @@ pub struct Policy {
 }
 
 impl Policy {
+    /// A reset has to accept a pose measured farther than this from where the last command left the robot \[rad\].
+    pub const POSE_DIFFERS_RAD: f64 = cdcr_shared_types::limits::POSE_DIFFERS_RAD;
+
     /// Time constant of the motors \[ns\].
     pub fn motor_time_constant_ns(&self) -> u64 {
         (self.actuator.time_constant_s * 1e9) as u64
