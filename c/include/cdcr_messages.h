@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x82c4ba8260b6dcbc)
+#define CDCR_LAYOUT UINT64_C(0x697a6656ce41a6d8)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -248,7 +248,8 @@ typedef enum CdcrRequestKind {
     CDCR_REQUEST_KIND_ACQUIRE_LEASE = 6, /* acquire the lease */
     CDCR_REQUEST_KIND_RELEASE_LEASE = 7, /* release the lease */
     CDCR_REQUEST_KIND_SETTINGS = 8, /* change settings */
-    CDCR_REQUEST_KIND_RESET_STATISTICS = 9 /* reset the statistics */
+    CDCR_REQUEST_KIND_RESET_STATISTICS = 9, /* reset the statistics */
+    CDCR_REQUEST_KIND_RESET_ACCEPTING_POSE = 10 /* reset, accepting the measured pose */
 } CdcrRequestKind;
 
 typedef enum CdcrRobotLink {
@@ -802,9 +803,9 @@ typedef struct CdcrInputEvent {
     uint32_t kind;
     /* 28: CdcrOutcome. */
     uint32_t outcome;
-    /* 32: Place of the trouble: index of the point or obstacle; for a request its CdcrRequestKind; for an accepted
-     * obstacle update how many obstacles are known after it; for first bends that a tip contradicts, its distance in
-     * mm. */
+    /* 32: Place of the trouble: index of the point or obstacle; for a request its CdcrRequestKind, with accepts_pose
+     * ResetAcceptingPose; for an accepted obstacle update how many obstacles are known after it; for first bends
+     * that a tip contradicts, its distance in mm. */
     uint32_t detail;
     /* 36: It took effect this many gathers before the record's gather: 0, unless more happened at once than one
      * record can report. */
@@ -895,7 +896,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v11, 15576 bytes. */
+/* cdcr.Telemetry.v12, 15592 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -1078,10 +1079,19 @@ typedef struct CdcrTelemetry {
     uint32_t ran_out_in_solve;
     /* 15572: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;
+    /* 15576: 1: yes, 0: no. 1 where a reset has to accept the pose: a section is measured more than 0.2 rad from
+     * where the last command left it, or the daemon before this one ended in such a pose. */
+    uint32_t pose_differs;
+    /* 15580: 1: yes, 0: no. 1 where the newest measurement was rejected as a jump: a reset is refused then. */
+    uint32_t measurement_rejected;
+    /* 15584: 1: yes, 0: no. 1 where the reference at the release is too far from the tip to be tracked. */
+    uint32_t reference_too_far;
+    /* 15588: Zero. */
+    uint32_t reserved;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 15576);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 15592);
 
-/* cdcr.Incident.v10, 15616 bytes. */
+/* cdcr.Incident.v11, 15632 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1095,6 +1105,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 15616);
+CDCR_ASSERT_SIZE(CdcrIncident, 15632);
 
 #endif

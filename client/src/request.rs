@@ -4,6 +4,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind, UnknownCode};
+use cdcr_shared_types::limits::POSE_DIFFERS_RAD;
 use cdcr_shared_types::{Request, Response, Service, ipc};
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::BackpressureStrategy;
@@ -53,6 +54,18 @@ pub struct PoseDifference {
     pub section: u32,
     /// The difference \[rad\].
     pub rad: f64,
+}
+
+impl PoseDifference {
+    /// Of the following errors of the sections \[rad\]: the largest, where a reset has to accept it.
+    pub fn of_errors(errors_rad: &[f64]) -> Self {
+        let sections = (1..).zip(errors_rad);
+        sections
+            .map(|(section, &rad)| Self { section, rad })
+            .filter(|pose| pose.rad > POSE_DIFFERS_RAD)
+            .max_by(|one, other| one.rad.total_cmp(&other.rad))
+            .unwrap_or_default()
+    }
 }
 
 impl fmt::Display for PoseDifference {

@@ -342,6 +342,8 @@ class RequestKind(Code):
     """Change settings."""
     RESET_STATISTICS = 9
     """Reset the statistics."""
+    RESET_ACCEPTING_POSE = 10
+    """Reset, accepting the measured pose."""
 
 
 class RobotLink(Code):

@@ -257,6 +257,8 @@ wire_enum! {
         ReleaseLease = 7: "release the lease",
         Settings = 8: "change settings",
         ResetStatistics = 9: "reset the statistics",
+        /// Only in events: a reset with `accepts_pose`.
+        ResetAcceptingPose = 10: "reset, accepting the measured pose",
     }
 }
 

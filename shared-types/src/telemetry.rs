@@ -24,8 +24,8 @@ message! {
         /// [`codes::Outcome`](crate::codes::Outcome).
         outcome: u32 [code Outcome],
         /// Place of the trouble: index of the point or obstacle; for a request its
-        /// [`codes::RequestKind`](crate::codes::RequestKind); for an accepted obstacle update how many
-        /// obstacles are known after it; for first bends that a tip contradicts, its distance in mm.
+        /// [`codes::RequestKind`](crate::codes::RequestKind), with `accepts_pose` `ResetAcceptingPose`; for an accepted obstacle update
+        /// how many obstacles are known after it; for first bends that a tip contradicts, its distance in mm.
         detail: u32,
         /// It took effect this many gathers before the record's `gather`: 0, unless more happened at once
         /// than one record can report.
@@ -122,7 +122,7 @@ message! {
     ///
     /// It holds every input of the cycle except the reference. That is reproduced from the clients' chunks in the order
     /// of the events of the records; see `docs/replay.md`.
-    pub struct Telemetry "cdcr.Telemetry.v11" {
+    pub struct Telemetry "cdcr.Telemetry.v12" {
         /// The daemon, number of the record, time of publication.
         header: Header,
 
@@ -302,5 +302,14 @@ message! {
         ran_out_in_solve: u32 [yes],
         /// Number of the reference lease: counted as leases are acquired. Tracking ends where it changes.
         lease_number: u32,
+        /// 1 where a reset has to accept the pose: a section is measured more than 0.2 rad from where the last command left it, or the
+        /// daemon before this one ended in such a pose.
+        pose_differs: u32 [yes],
+        /// 1 where the newest measurement was rejected as a jump: a reset is refused then.
+        measurement_rejected: u32 [yes],
+        /// 1 where the reference at the release is too far from the tip to be tracked.
+        reference_too_far: u32 [yes],
+        /// Zero.
+        reserved: u32 [reserved],
     }
 }

@@ -1,6 +1,7 @@
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason, timing};
 
+use crate::request::PoseDifference;
 use crate::{counted, events};
 
 /// Severity: the levels of `rcl_interfaces/Log`.
@@ -30,15 +31,17 @@ pub fn happenings(record: &Telemetry, before: Option<&Telemetry>) -> Vec<Happeni
     let mut add = |level, text| found.push(Happening { text, level });
     if before.is_none_or(|before| (before.mode, before.reason) != (record.mode, record.reason)) {
         let (mode, reason) = (Mode::text_of(record.mode), Reason::text_of(record.reason));
-        let is_latched = [Mode::Faulted, Mode::Stopped]
-            .map(Mode::code)
-            .contains(&record.mode);
-        let level = if is_latched {
+        let level = if is_latched(record.mode) {
             Level::Error
         } else {
             Level::Info
         };
         add(level, format!("{mode}: {reason}"));
+    }
+    if let Some(pose) = before.and_then(|before| accepted_pose(record, before)) {
+        let text =
+            format!("the reset accepted a pose that differs from that of the last command{pose}");
+        add(Level::Warning, text);
     }
     for event in events(record)
         .iter()
@@ -61,4 +64,48 @@ pub fn happenings(record: &Telemetry, before: Option<&Telemetry>) -> Vec<Happeni
         add(level, format!("cycle {}: {what} ({cause})", record.cycle));
     }
     found
+}
+
+/// The difference of a pose that the reset in this cycle accepted.
+fn accepted_pose(record: &Telemetry, before: &Telemetry) -> Option<PoseDifference> {
+    let [was_latched, is_latched] = [before, record].map(|record| is_latched(record.mode));
+    (was_latched && !is_latched && record.pose_differs != 0)
+        .then(|| PoseDifference::of_errors(&record.following_error_rad))
+}
+
+fn is_latched(mode: u32) -> bool {
+    [Mode::Faulted, Mode::Stopped]
+        .map(Mode::code)
+        .contains(&mode)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reset_that_accepts_another_pose_is_a_warning() {
+        let record = |mode: Mode, differs: bool| {
+            let mut record = Telemetry {
+                mode: mode.code(),
+                pose_differs: u32::from(differs),
+                ..Telemetry::default()
+            };
+            record.following_error_rad[1] = 0.834;
+            record
+        };
+        let stopped = record(Mode::Stopped, true);
+        for (mode, differs, warnings) in [
+            (Mode::Holding, true, 1),
+            (Mode::Holding, false, 0),
+            (Mode::Stopped, true, 0),
+        ] {
+            let found = happenings(&record(mode, differs), Some(&stopped));
+            let warned = found.iter().filter(|found| {
+                found.level == Level::Warning
+                    && found.text.ends_with("command: section 2 by 0.83 rad")
+            });
+            assert_eq!(warned.count(), warnings, "{found:?}");
+        }
+    }
 }

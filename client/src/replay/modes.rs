@@ -72,7 +72,8 @@ impl Before {
             machine.shut_down();
         }
         // A reset may arrive in the same cycle, and so may a hold of a robot that was not stopped before.
-        let is_reset = |event: &InputEvent| event.detail == RequestKind::Reset.code();
+        let resets = [RequestKind::Reset, RequestKind::ResetAcceptingPose].map(RequestKind::code);
+        let is_reset = |event: &InputEvent| resets.contains(&event.detail);
         let is_stopped_before = is_now(Mode::Stopped, Reason::StoppedBefore)
             || is_now(Mode::Holding, Reason::Request) && requests.iter().any(is_reset);
         if is_stopped_before && machine.mode() == safety::Mode::Starting {
@@ -123,10 +124,9 @@ impl Before {
                 Ok(codes::ReferenceState::Ended) => ReferenceState::Ended,
                 Ok(codes::ReferenceState::None) | Err(_) => ReferenceState::None,
             },
-            // Requests refused for one of these reasons are not among the accepted ones.
-            too_far: false,
-            measurement_rejected: false,
-            pose_differs: false,
+            too_far: record.reference_too_far != 0,
+            measurement_rejected: record.measurement_rejected != 0,
+            pose_differs: record.pose_differs != 0,
             lease: match codes::LeaseState::try_from(record.lease_state) {
                 Ok(codes::LeaseState::Held) => LeaseState::Held,
                 Ok(codes::LeaseState::Expired) => LeaseState::Expired,
@@ -202,6 +202,7 @@ fn request(event: &InputEvent, record: &Telemetry) -> Option<safety::Request> {
         RequestKind::Home => safety::Request::Home,
         RequestKind::Stop => safety::Request::Stop,
         RequestKind::Reset => safety::Request::Reset,
+        RequestKind::ResetAcceptingPose => safety::Request::ResetAcceptingPose,
         RequestKind::AcquireLease
         | RequestKind::ReleaseLease
         | RequestKind::Settings
@@ -249,4 +250,68 @@ reasons! {
     Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
     LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
     InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore, PoseDiffers,
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_shared_types::codes::EventKind;
+
+    use super::*;
+
+    /// A stopped robot, and the cycle after it in which a request was granted; `change` adds what it saw.
+    fn difference(
+        kind: RequestKind,
+        granted: (Mode, Reason),
+        change: impl Fn(&mut Telemetry),
+    ) -> bool {
+        let before = match granted.0 {
+            Mode::Tracking => (Mode::Holding, Reason::Request),
+            _ => (Mode::Stopped, Reason::Request),
+        };
+        let [stopped, mut after] = [before, granted].map(|(mode, reason)| {
+            let mut record = Telemetry {
+                mode: mode.code(),
+                reason: reason.code(),
+                clearance_m: f64::INFINITY,
+                following_fault_rad: 1.0,
+                lease_state: codes::LeaseState::Held.code(),
+                ..Telemetry::default()
+            };
+            record.measurement.kind = MeasurementKind::Configuration.code();
+            record.reference.state = codes::ReferenceState::Inside.code();
+            record
+        });
+        change(&mut after);
+        let request = InputEvent {
+            kind: EventKind::Request.code(),
+            detail: kind.code(),
+            ..InputEvent::default()
+        };
+        let mut modes = Modes::default();
+        assert_eq!(modes.check(&stopped, &[]), None);
+        modes.check(&after, &[request]).is_some()
+    }
+
+    #[test]
+    fn a_request_that_was_granted_wrongly_is_a_difference() {
+        let reset = |kind, change: fn(&mut Telemetry)| {
+            difference(kind, (Mode::Holding, Reason::Request), change)
+        };
+        let (plain, accepting) = (RequestKind::Reset, RequestKind::ResetAcceptingPose);
+        for kind in [plain, accepting] {
+            assert!(!reset(kind, |_| ()));
+            assert!(reset(kind, |record| record.measurement_rejected = 1));
+        }
+        assert!(reset(plain, |record| record.pose_differs = 1));
+        assert!(!reset(accepting, |record| record.pose_differs = 1));
+        let track = |change: fn(&mut Telemetry)| {
+            difference(
+                RequestKind::Track,
+                (Mode::Tracking, Reason::Request),
+                change,
+            )
+        };
+        assert!(!track(|_| ()));
+        assert!(track(|record| record.reference_too_far = 1));
+    }
 }

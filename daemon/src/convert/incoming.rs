@@ -302,6 +302,7 @@ pub fn mode_request(
         codes::RequestKind::AcquireLease
         | codes::RequestKind::ReleaseLease
         | codes::RequestKind::Settings
-        | codes::RequestKind::ResetStatistics => None,
+        | codes::RequestKind::ResetStatistics
+        | codes::RequestKind::ResetAcceptingPose => None,
     }
 }

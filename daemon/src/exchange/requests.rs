@@ -168,9 +168,9 @@ impl Exchange {
     }
 
     fn answer_now(&mut self, asked: &Asked, outcome: Outcome, now_ns: u64) {
-        let Request { header, kind, .. } = *asked.payload();
-        self.note_request(&header, kind, outcome, self.gather.number, now_ns);
-        let response = self.response(&header, outcome, now_ns);
+        let request = *asked.payload();
+        self.note_request(&request, outcome, self.gather.number, now_ns);
+        let response = self.response(&request.header, outcome, now_ns);
         // A client that has left gets no answer.
         let _ = asked.send_copy(response);
     }
@@ -182,10 +182,10 @@ impl Exchange {
                 continue;
             };
             let outcome = outcome.map_or_else(convert::refusal, |()| Outcome::Accepted);
-            let Request { header, kind, .. } = *asked.payload();
+            let request = *asked.payload();
             // With several waiting records, only the hand-over time identifies the cycle that decided.
             let decided_ns = record.handed_over_ns;
-            self.note_request(&header, kind, outcome, record.gather, decided_ns);
+            self.note_request(&request, outcome, record.gather, decided_ns);
             let largest = match outcome {
                 Outcome::PoseDiffers => Some(record.following.largest()),
                 _ => None,
@@ -199,7 +199,7 @@ impl Exchange {
                 mode: convert::mode(record.mode).code(),
                 pose_section,
                 pose_difference_rad,
-                ..self.response(&header, outcome, now_ns)
+                ..self.response(&request.header, outcome, now_ns)
             };
             let _ = asked.send_copy(response);
         }
@@ -219,14 +219,13 @@ impl Exchange {
         }
     }
 
-    fn note_request(
-        &mut self,
-        header: &Header,
-        kind: u32,
-        outcome: Outcome,
-        gather: u64,
-        judged_ns: u64,
-    ) {
+    fn note_request(&mut self, request: &Request, outcome: Outcome, gather: u64, judged_ns: u64) {
+        let accepts_pose = request.kind == RequestKind::Reset.code() && request.accepts_pose != 0;
+        let kind = if accepts_pose {
+            RequestKind::ResetAcceptingPose.code()
+        } else {
+            request.kind
+        };
         let result = match outcome {
             Outcome::Accepted => Ok(kind),
             outcome => Err(Refused {
@@ -234,7 +233,12 @@ impl Exchange {
                 detail: kind,
             }),
         };
-        self.events
-            .note(gather, EventKind::Request, header, judged_ns, result);
+        self.events.note(
+            gather,
+            EventKind::Request,
+            &request.header,
+            judged_ns,
+            result,
+        );
     }
 }

@@ -10,7 +10,6 @@ use cdcr_controller::safety::FarthestBend;
 use cdcr_shared_types::codes::{
     Interface, LateCause, Mode, Outcome, Reason, RobotLink, SolverKind,
 };
-use cdcr_shared_types::limits::POSE_DIFFERS_RAD;
 use cdcr_shared_types::message::{Field, Struct};
 use cdcr_shared_types::{LatencySummary, Statistics, Status};
 use serde_json::{Value, json};
@@ -169,12 +168,7 @@ fn pose_difference(status: &Status) -> PoseDifference {
     if status.reset_refused_by != Reason::PoseDiffers.code() {
         return PoseDifference::default();
     }
-    let sections = (1..).zip(status.following_error_rad);
-    let sections = sections.map(|(section, rad)| PoseDifference { section, rad });
-    sections
-        .filter(|pose| pose.rad > POSE_DIFFERS_RAD)
-        .max_by(|a, b| a.rad.total_cmp(&b.rad))
-        .unwrap_or_default()
+    PoseDifference::of_errors(&status.following_error_rad)
 }
 
 /// The largest following error of a section (rad).

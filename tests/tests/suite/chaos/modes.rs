@@ -90,6 +90,7 @@ const ARROWS: &[Arrow] = &[
     // Requests of clients. A stop does not change a fault.
     request(NOT_FAULTED, RequestKind::Stop, Mode::Stopped),
     request(LATCHED, RequestKind::Reset, Mode::Holding),
+    request(LATCHED, RequestKind::ResetAcceptingPose, Mode::Holding),
     request(&[Mode::Holding], RequestKind::Track, Mode::Tracking),
     request(
         &[Mode::Holding, Mode::Homing],

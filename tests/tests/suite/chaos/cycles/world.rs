@@ -221,6 +221,9 @@ impl World {
         self.clock.step_ns.set(self.dice.pick(&steps_ns));
         let asked = self.asked.take();
         let accepts_pose = self.dice.chance(80);
+        if accepts_pose && asked == Some(RequestKind::Reset) {
+            self.kind_of_answer = Some(RequestKind::ResetAcceptingPose);
+        }
         let mut request = asked.and_then(|kind| convert::mode_request(kind, accepts_pose, 0));
         let next_request = || {
             let request = request.take()?;
