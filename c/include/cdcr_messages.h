@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x697a6656ce41a6d8)
+#define CDCR_LAYOUT UINT64_C(0x46546a3bebcf6d45)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -271,6 +271,16 @@ typedef enum CdcrSolverStatus {
     CDCR_SOLVER_STATUS_CONSTRAINT_VIOLATED = 4, /* constraint violated */
     CDCR_SOLVER_STATUS_NON_FINITE = 5 /* not finite */
 } CdcrSolverStatus;
+
+typedef enum CdcrTipCause {
+    CDCR_TIP_CAUSE_NONE = 0, /* none */
+    CDCR_TIP_CAUSE_FAR = 1, /* it is too far from where the bends place it */
+    CDCR_TIP_CAUSE_WAS_FAR = 2, /* it was too far from where the bends place it, a short time ago */
+    CDCR_TIP_CAUSE_REPEATS = 3, /* it has the same bits as before */
+    CDCR_TIP_CAUSE_JUMPS = 4, /* it moved faster than the robot can */
+    CDCR_TIP_CAUSE_JUMPED = 5, /* it moved faster than the robot can many times in a row */
+    CDCR_TIP_CAUSE_FROZEN = 6 /* it had the same bits while the robot moved */
+} CdcrTipCause;
 
 typedef enum CdcrVelocityRule {
     CDCR_VELOCITY_RULE_INERTIA = 0, /* inertia */
@@ -668,7 +678,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v15, 2288 bytes. */
+/* cdcr.Status.v16, 2296 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -787,8 +797,12 @@ typedef struct CdcrStatus {
     uint32_t tip_refused_by;
     /* 2284: 1: yes, 0: no. A tip sensor beside the driver is configured (link.tip_sensor). */
     uint32_t has_tip_sensor;
+    /* 2288: CdcrTipCause why the newest tip measured beside bends or cables is not used, as in Telemetry. */
+    uint32_t tip_cause;
+    /* 2292: Zero. */
+    uint32_t reserved;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2288);
+CDCR_ASSERT_SIZE(CdcrStatus, 2296);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {
@@ -1086,8 +1100,8 @@ typedef struct CdcrTelemetry {
     uint32_t measurement_rejected;
     /* 15584: 1: yes, 0: no. 1 where the reference at the release is too far from the tip to be tracked. */
     uint32_t reference_too_far;
-    /* 15588: Zero. */
-    uint32_t reserved;
+    /* 15588: CdcrTipCause: why the newest tip_measured_m was not used, also in the cycles until the next one. */
+    uint32_t tip_cause;
 } CdcrTelemetry;
 CDCR_ASSERT_SIZE(CdcrTelemetry, 15592);
 

@@ -377,6 +377,23 @@ class SolverStatus(Code):
     """Not finite."""
 
 
+class TipCause(Code):
+    NONE = 0
+    """None."""
+    FAR = 1
+    """It is too far from where the bends place it."""
+    WAS_FAR = 2
+    """It was too far from where the bends place it, a short time ago."""
+    REPEATS = 3
+    """It has the same bits as before."""
+    JUMPS = 4
+    """It moved faster than the robot can."""
+    JUMPED = 5
+    """It moved faster than the robot can many times in a row."""
+    FROZEN = 6
+    """It had the same bits while the robot moved."""
+
+
 class VelocityRule(Code):
     INERTIA = 0
     """Inertia."""

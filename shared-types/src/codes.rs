@@ -90,6 +90,11 @@ impl core::fmt::Display for UnknownCode {
 
 impl core::error::Error for UnknownCode {}
 
+// After the macro that it uses.
+mod measured;
+
+pub use measured::{MeasurementKind, MeasurementState, TipCause};
+
 wire_enum! {
     /// The part of a reference point's orientation that is followed.
     OrientationKind {
@@ -141,19 +146,6 @@ wire_enum! {
         Remove = 1: "remove",
         /// Remove all.
         Clear = 2: "clear",
-    }
-}
-
-wire_enum! {
-    /// Quantity of a measurement.
-    MeasurementKind {
-        None = 0: "none",
-        /// The bend vector of every section.
-        Configuration = 1: "configuration",
-        /// Position and orientation of the tip.
-        TipPose = 2: "tip pose",
-        /// The length of every cable.
-        CableLengths = 3: "cable lengths",
     }
 }
 
@@ -347,20 +339,6 @@ wire_enum! {
         Held = 1: "held",
         /// Its holder has been silent.
         Expired = 2: "expired",
-    }
-}
-
-wire_enum! {
-    /// Use of the measurement in a cycle.
-    MeasurementState {
-        /// No measurement yet.
-        None = 0: "none",
-        /// A new one corrected the estimate.
-        Used = 1: "used",
-        /// None since the previous cycle: the estimate was predicted.
-        Repeated = 2: "repeated",
-        /// A new one was rejected, because no robot can follow it.
-        Implausible = 3: "implausible",
     }
 }
 

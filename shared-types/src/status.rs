@@ -106,7 +106,7 @@ message! {
     }
 
     /// The latest snapshot of the daemon for late joiners, published ten times a second.
-    pub struct Status "cdcr.Status.v15" {
+    pub struct Status "cdcr.Status.v16" {
         /// The daemon, sequence, time.
         header: Header,
         /// Name of the robot, as in the service names.
@@ -225,5 +225,9 @@ message! {
         tip_refused_by: u32 [code Outcome],
         /// A tip sensor beside the driver is configured (`link.tip_sensor`).
         has_tip_sensor: u32 [yes],
+        /// [`codes::TipCause`](crate::codes::TipCause) why the newest tip measured beside bends or cables is not used, as in [`Telemetry`](crate::Telemetry).
+        tip_cause: u32 [code TipCause],
+        /// Zero.
+        reserved: u32 [reserved],
     }
 }

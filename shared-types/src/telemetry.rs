@@ -309,7 +309,7 @@ message! {
         measurement_rejected: u32 [yes],
         /// 1 where the reference at the release is too far from the tip to be tracked.
         reference_too_far: u32 [yes],
-        /// Zero.
-        reserved: u32 [reserved],
+        /// [`codes::TipCause`](crate::codes::TipCause): why the newest `tip_measured_m` was not used, also in the cycles until the next one.
+        tip_cause: u32 [code TipCause],
     }
 }

@@ -90,7 +90,7 @@ impl Sensed {
             estimator.predict(&rates, FigureEight::PERIOD_S);
             estimator.correct(&robot, &first, 0.0);
             if matches!(self, Self::CablesAndTip | Self::Play) {
-                estimator.correct_tip(&robot, &tip_m, 0.0);
+                let _ = estimator.correct_tip(&robot, &tip_m, 0.0);
             }
             let estimate_time = begin.elapsed();
             let input = SolveInput {

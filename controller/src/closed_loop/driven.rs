@@ -192,7 +192,7 @@ impl DrivenRobot {
                 let bends = Measurement::Configuration(bends);
                 self.estimator.correct(&self.model, &bends, 0.0);
             } else if has_cables {
-                self.estimator.correct_tip(&self.model, &tip_m, 0.0);
+                let _ = self.estimator.correct_tip(&self.model, &tip_m, 0.0);
             } else {
                 let tip = Measurement::TipPosition(tip_m);
                 self.estimator.correct(&self.model, &tip, 0.0);

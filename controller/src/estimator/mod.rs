@@ -19,7 +19,7 @@ use actuator::{ActuatorModel, added};
 pub use slack::Slack;
 use tip_filter::{TIP_NOISE_M, TipFilter};
 use tip_offset::TipOffset;
-pub use tip_offset::tip_offset_max_m;
+pub use tip_offset::{TipRefusal, tip_offset_max_m};
 
 /// Number of low-pass filters in series. The rates follow the estimate at once, so noise changes them by the second difference of the
 /// estimate. At the same delay, three filters give a tenth of the second difference of two.
@@ -400,10 +400,14 @@ impl Estimator {
     /// Takes a tip position (m) beside measured bends. The bends are kept; the tip offset ([`Self::tip_offset_m`]) and its change along the
     /// path of the tip are learnt.
     ///
-    /// Returns false and learns nothing if the position is more than [`tip_offset_max_m`] from that of the bends, or was so three times in a row
-    /// a short time ago, or is not finite. The same if it is
-    /// bit-identical to the last one: the sensor may have stopped.
-    pub fn correct_tip(&mut self, robot: &Robot, position_m: &Vector3<f64>, age_s: f64) -> bool {
+    /// # Errors
+    /// It is not followed, and nothing is learnt.
+    pub fn correct_tip(
+        &mut self,
+        robot: &Robot,
+        position_m: &Vector3<f64>,
+        age_s: f64,
+    ) -> Result<(), TipRefusal> {
         self.update_tip_offset(robot);
         let motion = self.motors.remaining_motion(age_s);
         let then = motion.cables_at_start(&motion.start_from(self.motors()));

@@ -151,7 +151,7 @@ mod tests {
             if has_tip {
                 estimator.predict(&rest, PERIOD_S);
                 let tip_m = robot.tip_position(&bent(0.2));
-                estimator.correct_tip(&robot, &tip_m, 0.0);
+                let _ = estimator.correct_tip(&robot, &tip_m, 0.0);
             }
             let before = *estimator.configuration();
             let lengths_m = robot.cable_lengths(&bent(bend_rad));
@@ -188,7 +188,7 @@ mod tests {
             estimator.predict(&rates, PERIOD_S);
             let model_tip_m = robot.tip_position(estimator.configuration());
             let tip_m = model_tip_m + estimator.tip_offset_m();
-            estimator.correct_tip(&robot, &tip_m, 0.0);
+            let _ = estimator.correct_tip(&robot, &tip_m, 0.0);
             let after = estimator.configuration();
             let seen_m = robot.tip_position(after) + estimator.tip_offset_m();
             let moved_rad = after.as_slice()[0] - before.as_slice()[0];

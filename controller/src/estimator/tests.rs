@@ -190,7 +190,7 @@ fn margin_is_the_offset_plus_its_uncertainty() {
             estimator.predict(&BendRates::zero(3), 0.005);
             estimator.correct(&robot, &lengths, 0.0);
             let seen_m = tip_m.map(|m| m + noise_m * noise(&mut state));
-            assert!(estimator.correct_tip(&robot, &seen_m, 0.0));
+            assert_eq!(estimator.correct_tip(&robot, &seen_m, 0.0), Ok(()));
             let offset_m = estimator.tip_offset_m();
             open_m = estimator.tip_margin_m() - offset_m.norm();
             let off_m = offset_m - truth_m;

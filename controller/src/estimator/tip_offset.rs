@@ -47,6 +47,17 @@ const DEAD_ZONE_WITH_PLAY: f64 = 0.6;
 /// farther aside in the direction of an obstacle.
 const MARGIN_DEVIATIONS: f64 = 3.0;
 
+/// Why a measured tip is not followed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TipRefusal {
+    /// It is farther than [`tip_offset_max_m`] from the place given by the bends, or not finite.
+    Far,
+    /// It was, three times in a row, and has not been near for long enough since.
+    WasFar,
+    /// It has the bits of the last one: the sensor may have stopped.
+    Repeats,
+}
+
 /// Offset of the measured tip from the tip of the measured bends: errors of lengths and radii, sag, a load. It changes
 /// as the robot bends; this slope is learnt, too ([`TipSlope`]), so that the offset does not lag during motion.
 #[derive(Debug, Clone)]
@@ -233,9 +244,8 @@ impl TipOffset {
         }
     }
 
-    /// Takes a tip measured at `measured_m` while the bends placed it at `model_tip_m`. Returns false if it is rejected:
-    /// farther aside than the largest offset, not long enough near again, or bit-identical to the last position. Following
-    /// a sensor that has stopped would move the robot away from its reference.
+    /// Takes a tip measured at `measured_m` while the bends placed it at `model_tip_m`. Following a sensor that has
+    /// stopped would move the robot away from its reference.
     ///
     /// `reach_m`: length of the robot. `has_play`: the cables have a known play.
     pub(super) fn correct(
@@ -244,11 +254,11 @@ impl TipOffset {
         model_tip_m: &Vector3<f64>,
         reach_m: f64,
         has_play: bool,
-    ) -> bool {
+    ) -> Result<(), TipRefusal> {
         let measured_offset_m = measured_m - model_tip_m;
         let is_news = core::mem::replace(&mut self.measured_m, *measured_m) != *measured_m;
         if !is_news {
-            return false;
+            return Err(TipRefusal::Repeats);
         }
         let away_m = measured_offset_m.norm();
         self.largest_m = tip_offset_max_m(reach_m);
@@ -257,8 +267,11 @@ impl TipOffset {
         if !is_near && measured_m.norm() < 1.5 * reach_m {
             self.take_far(away_m);
         }
-        if !is_near || self.waits(away_m) {
-            return false;
+        if !is_near {
+            return Err(TipRefusal::Far);
+        }
+        if self.waits(away_m) {
+            return Err(TipRefusal::WasFar);
         }
         // After a pause of the sensor, its next position has no more weight than the previous one, so that the offset
         // does not jump.
@@ -292,7 +305,7 @@ impl TipOffset {
             self.offset_m = moved_m.cap_magnitude(self.largest_m);
         }
         self.since_measured_s = 0.0;
-        true
+        Ok(())
     }
 }
 
@@ -315,7 +328,8 @@ mod tests {
                 0.0
             };
             let measured_m = model_tip_m + Vector3::new(*aside_m, turn_m, 0.0);
-            offset.correct(&measured_m, &model_tip_m, REACH_M, false)
+            let taken = offset.correct(&measured_m, &model_tip_m, REACH_M, false);
+            taken.is_ok()
         };
         aside_m.iter().map(take).collect()
     }
@@ -353,7 +367,8 @@ mod tests {
                     // No two in a row have the same bits.
                     let aside_m = Vector3::new(share * reach_m, 1e-9 * f64::from(step % 2), 0.0);
                     let measured_m = model_tip_m + aside_m;
-                    used &= offset.correct(&measured_m, &model_tip_m, reach_m, false);
+                    let taken = offset.correct(&measured_m, &model_tip_m, reach_m, false);
+                    used &= taken.is_ok();
                 }
                 assert_eq!(used, expected, "{share} of {reach_m} m");
                 let reached = if expected { share } else { 0.0 };

@@ -8,7 +8,7 @@ use cdcr_controller::safety::{LeaseState, Mode, Reason, Refusal};
 use cdcr_shared_types::codes;
 
 use crate::config::{Interface, LinkKind};
-use crate::handover::MeasurementUse;
+use crate::handover::{MeasurementUse, TipCause};
 
 macro_rules! to_wire {
     ($($(#[$meta:meta])* $vis:vis $name:ident: $domain:ident => $code:ident { $($variant:ident),+ $(,)? })+) => { $(
@@ -34,6 +34,7 @@ to_wire! {
     pub link: LinkKind => RobotLink { Simulated, Driver }
     pub(super) lease_state: LeaseState => LeaseState { Free, Held, Expired }
     pub(super) measurement_state: MeasurementUse => MeasurementState { None, Used, Repeated, Implausible }
+    pub tip_cause: TipCause => TipCause { Far, WasFar, Repeats, Jumps, Jumped, Frozen }
     /// A violated constraint.
     pub(super) constraint: Constraint => Constraint { Clearance, Limit }
     /// Status of a solve.

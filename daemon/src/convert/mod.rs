@@ -7,7 +7,7 @@ mod incoming;
 mod outgoing;
 mod settings;
 
-pub use enumerations::{interface, link, mode, reason, refusal};
+pub use enumerations::{interface, link, mode, reason, refusal, tip_cause};
 pub use incoming::{
     Refused, measurement, mode_request, obstacle, reference_points, trajectory_refusal,
     updated_obstacles,

@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 use super::enumerations::{
     self, interface, lease_state, measurement_state, mode, reason, reference_state, solver_status,
-    winner,
+    tip_cause, winner,
 };
 use super::settings::settings_to_wire;
 use crate::handover::{CycleRecord, TimedMeasurement};
@@ -207,7 +207,10 @@ pub fn fill_telemetry(
         pose_differs = u32::from(record.seen.pose_differs),
         measurement_rejected = u32::from(record.seen.measurement_rejected),
         reference_too_far = u32::from(record.seen.too_far),
-        reserved = 0,
+        tip_cause = record
+            .tip_unused
+            .map_or(codes::TipCause::None, tip_cause)
+            .code(),
         obstacle_count = record.obstacles.count() as u32,
         measurement = measurement,
         tip_measured_m = tip_measured_m,

@@ -15,6 +15,7 @@ mod requests;
 mod safe;
 mod silence;
 mod state;
+mod tip_watch;
 mod unsent;
 mod warm_up;
 
@@ -226,8 +227,7 @@ impl Cycle {
         self.state.following.latch(self.modes.mode().is_latched());
         let measurement_use = self.state.measure(measurement, release.release_ns);
         let tip_measurement = self.link.measure_tip(release.release_ns, inputs);
-        let sensors = inputs.tip_sensors;
-        let tip_use = (self.state).measure_tip(tip_measurement, sensors, release.release_ns);
+        let tip_use = (self.state).measure_tip(tip_measurement, inputs, release.release_ns);
         self.state.locate(elapsed_ns);
         self.place_obstacles(inputs, &release);
 
@@ -296,6 +296,7 @@ impl Cycle {
             measurement_use,
             tip_measurement,
             tip_use,
+            tip_unused: self.state.tip_watch.unused(),
             tip_offset_m: self.state.tip_offset_m(),
             tip_margin_m: self.state.tip_margin_m(),
             tip: self.state.tip(),

@@ -240,7 +240,7 @@ impl Cycle {
         state.count_silence(Some(measurement), inputs);
         state.move_on(&self.rates, self.period_ns);
         state.measure(Some(measurement), release_ns);
-        state.measure_tip(inputs.tip, inputs.tip_sensors, release_ns);
+        state.measure_tip(inputs.tip, inputs, release_ns);
         state.locate(self.period_ns);
         black_box(state.tip());
     }

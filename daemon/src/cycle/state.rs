@@ -7,6 +7,7 @@ use cdcr_controller::safety::{
 use nalgebra::Vector3;
 
 use super::silence::{SilenceWatch, age_s};
+use super::tip_watch::TipWatch;
 use crate::config::Interface;
 use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
 
@@ -41,14 +42,7 @@ pub(super) struct RobotState {
     pub(super) plausibility: MeasurementWatch,
     common_mode: CommonModeWatch,
     bend_limit: BendLimitWatch,
-    /// Of the tip, measured in addition to bends or cables.
-    pub(super) tip_plausibility: MeasurementWatch,
-    last_tip_ns: u64,
-    /// Number of tip sensors so far.
-    tip_sensors: u64,
-    /// The tip measurement froze or jumped too often: it is not used until control begins again or another
-    /// sensor takes over.
-    tip_is_wrong: bool,
+    pub(super) tip_watch: TipWatch,
     /// Last measured configuration; `None` if the measurement does not determine it.
     measured: Option<Configuration>,
     last_measured_ns: u64,
@@ -92,10 +86,7 @@ impl RobotState {
             plausibility: MeasurementWatch::new(policy.plausibility),
             common_mode: CommonModeWatch::new(policy.cable_common_m),
             bend_limit: BendLimitWatch::new(0.5 * policy.plausibility.jump_rad, initial),
-            tip_plausibility: MeasurementWatch::new(policy.plausibility),
-            last_tip_ns: 0,
-            tip_sensors: 0,
-            tip_is_wrong: false,
+            tip_watch: TipWatch::new(policy.plausibility),
             measured: None,
             last_measured_ns: 0,
             last_gather_ns: 0,
@@ -176,7 +167,7 @@ impl RobotState {
         // On the way of the commanded position to the robot, motors may hold and not yet obey.
         if self.begins_at.is_none() {
             self.plausibility.commanded(rates, moving_s);
-            self.tip_plausibility.commanded(rates, moving_s);
+            self.tip_watch.plausibility.commanded(rates, moving_s);
         }
     }
 
@@ -240,52 +231,6 @@ impl RobotState {
             self.following.unmeasured();
         }
         MeasurementUse::Used
-    }
-
-    /// Uses a tip measured in addition to bends or cables: it shows the error of the model there. An
-    /// implausible one is ignored, without a fault: the bends are measured. A new sensor, counted by
-    /// `tip_sensors`, starts without the history of the last one. The offset remains until the new sensor
-    /// corrects it, so that the tip does not jump.
-    pub(super) fn measure_tip(
-        &mut self,
-        measurement: Option<TimedMeasurement>,
-        tip_sensors: u64,
-        release_ns: u64,
-    ) -> MeasurementUse {
-        if core::mem::replace(&mut self.tip_sensors, tip_sensors) != tip_sensors {
-            self.trust_tip();
-        }
-        let Some(timed) = measurement else {
-            return MeasurementUse::None;
-        };
-        let (measurement, measured_ns) = (timed.measurement, timed.measured_ns);
-        if measured_ns <= self.last_tip_ns {
-            return MeasurementUse::Repeated;
-        }
-        self.last_tip_ns = measured_ns;
-        let found = self
-            .tip_plausibility
-            .check(&self.robot, &measurement, measured_ns);
-        self.tip_is_wrong |= matches!(found, Plausibility::Lost | Plausibility::Frozen);
-        if self.tip_is_wrong || found == Plausibility::Jump {
-            return MeasurementUse::Implausible;
-        }
-        let Measurement::TipPosition(position_m) = measurement else {
-            return MeasurementUse::None;
-        };
-        let age_s = age_s(measured_ns, release_ns);
-        if self.estimator.correct_tip(&self.robot, &position_m, age_s) {
-            MeasurementUse::Used
-        } else {
-            MeasurementUse::Implausible
-        }
-    }
-
-    /// Assumes the tip at the place given by the bends if its measurement froze or jumped permanently.
-    pub(super) fn give_up_wrong_tip(&mut self) {
-        if self.tip_is_wrong {
-            self.estimator.forget_tip_offset();
-        }
     }
 
     /// Offset of the measured tip from the place given by the bends \[m\].
@@ -413,13 +358,6 @@ impl RobotState {
             *way -= begin;
         }
         Some(way)
-    }
-
-    /// Accepts the next tip measurement without history.
-    fn trust_tip(&mut self) {
-        self.tip_plausibility = MeasurementWatch::new(self.policy.plausibility);
-        self.tip_is_wrong = false;
-        self.estimator.trust_tip();
     }
 
     /// Counts the time without a fresh measurement, as seen by gathers: after a stall of the machine, the

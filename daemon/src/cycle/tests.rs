@@ -22,7 +22,7 @@ use nalgebra::Vector3;
 
 use super::*;
 use crate::config::Interface;
-use crate::handover::MeasurementUse;
+use crate::handover::{MeasurementUse, TipCause};
 use trial::{PERIOD_S, TRACK, Trial};
 
 /// A distant reference is followed at once.
@@ -192,7 +192,7 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
     // A jump does not affect the command: it equals that with a silent sensor.
     trial.tip_error_m = Vector3::new(0.5, 0.0, 0.0);
     let jump = trial.turn();
-    assert_eq!(jump.tip_use, MeasurementUse::Implausible);
+    assert_eq!(jump.tip_unused, Some(TipCause::Jumps));
     let mut silent = Trial::with(Interface::Position, flaws, DIRECT);
     silent.measures_tip = true;
     silent.turn();
@@ -222,7 +222,7 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
     let before_m = trial.turn().tip_offset_m;
     trial.frozen_tip_m = Some(trial.plant.tip_m());
     let frozen = trial.turns(200);
-    assert_eq!(frozen.tip_use, MeasurementUse::Implausible);
+    assert_eq!(frozen.tip_unused, Some(TipCause::Frozen));
     assert!(
         (frozen.tip_offset_m - before_m).norm() < 2e-3,
         "{before_m} {}",
@@ -235,7 +235,7 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
     trial.turns(5);
     trial.tip_error_m = Vector3::zeros();
     let wrong = trial.turns(5);
-    assert_eq!(wrong.tip_use, MeasurementUse::Implausible);
+    assert_eq!(wrong.tip_unused, Some(TipCause::Jumped));
     trial.inputs.tip_sensors += 1;
     let other = trial.turn();
     assert_eq!(other.tip_use, MeasurementUse::Used);

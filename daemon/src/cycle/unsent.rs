@@ -36,7 +36,7 @@ impl LastSent {
             commanded: state.commanded,
             following: state.following.clone(),
             plausibility: state.plausibility.clone(),
-            tip_plausibility: state.tip_plausibility.clone(),
+            tip_plausibility: state.tip_watch.plausibility.clone(),
         }
     }
 
@@ -48,7 +48,8 @@ impl LastSent {
         self.commanded = state.commanded;
         self.following.clone_from(&state.following);
         self.plausibility.clone_from(&state.plausibility);
-        self.tip_plausibility.clone_from(&state.tip_plausibility);
+        self.tip_plausibility
+            .clone_from(&state.tip_watch.plausibility);
     }
 
     /// Restores the saved state and advances it by that command alone.
@@ -57,7 +58,10 @@ impl LastSent {
         state.commanded = self.commanded;
         state.following.clone_from(&self.following);
         state.plausibility.clone_from(&self.plausibility);
-        state.tip_plausibility.clone_from(&self.tip_plausibility);
+        state
+            .tip_watch
+            .plausibility
+            .clone_from(&self.tip_plausibility);
         state.move_on(&self.rates, self.elapsed_ns);
     }
 }

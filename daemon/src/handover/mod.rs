@@ -34,4 +34,4 @@ pub use record::{CycleFacts, CycleRecord, MeasurementUse};
 pub use report::{CycleReport, InputReport, RefusedTips};
 pub use shared::Shared;
 pub use summary::Summary;
-pub use tip_rejection::TipRejection;
+pub use tip_rejection::{TipCause, TipRejection};

@@ -7,7 +7,7 @@ use cdcr_controller::robot::{BendRates, Configuration, Pose};
 use cdcr_controller::safety::{FollowingError, LeaseState, LimitsHit, Mode, Observation};
 use nalgebra::Vector3;
 
-use super::{Policy, Settings};
+use super::{Policy, Settings, TipCause};
 use crate::accounting::Totals;
 use crate::core_budget::{CoreBudget, Costs};
 use crate::handover::{CycleAnswer, REQUESTS_WAITING, TimedMeasurement};
@@ -127,6 +127,8 @@ pub struct CycleFacts {
     /// Newest measurement of the tip in addition to bends or cables.
     pub tip_measurement: Option<TimedMeasurement>,
     pub tip_use: MeasurementUse,
+    /// Why the newest of them was not used.
+    pub tip_unused: Option<TipCause>,
     /// Offset of the measured tip from the place given by the bends \[m\]; subtracted from the plan's
     /// reference.
     pub tip_offset_m: Vector3<f64>,

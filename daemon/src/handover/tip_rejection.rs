@@ -1,13 +1,73 @@
 use std::fmt;
 
-use cdcr_controller::estimator::{Measurement, tip_offset_max_m};
+use cdcr_controller::estimator::{Measurement, TipRefusal, tip_offset_max_m};
 use cdcr_controller::robot::Robot;
 
 use super::CycleRecord;
 
+/// Why a tip measured beside bends or cables is not used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TipCause {
+    /// Farther from where the bends place it than is followed.
+    Far,
+    /// It was, and has not been near for long enough since.
+    WasFar,
+    /// The bits of the last one.
+    Repeats,
+    /// Faster than the robot can move.
+    Jumps,
+    /// The last of many jumps in a row.
+    Jumped,
+    /// The same bits while the robot moved.
+    Frozen,
+}
+
+impl From<TipRefusal> for TipCause {
+    fn from(refusal: TipRefusal) -> Self {
+        match refusal {
+            TipRefusal::Far => Self::Far,
+            TipRefusal::WasFar => Self::WasFar,
+            TipRefusal::Repeats => Self::Repeats,
+        }
+    }
+}
+
+impl TipCause {
+    /// Whether the sensor is not used again before a reset, or before another sensor comes.
+    pub fn lasts(self) -> bool {
+        matches!(self, Self::Jumped | Self::Frozen)
+    }
+
+    fn advice(self) -> &'static str {
+        match self {
+            Self::Far => {
+                "Usual causes: (1) the frame of the sensor is not that of the base: compare origin and axes with the robot straight \
+                 and bent (docs/drivers.md, Frames); (2) the sensor sends millimetres: send metres; (3) lengths or cable radii of the configuration are wrong: cdcrctl calibrate geometry; \
+                 (4) the encoders have lost their zero: docs/drivers.md, Zero; (5) the sensor sees something else than the tip"
+            }
+            Self::WasFar => {
+                "It was beyond the limit before: it is used again after some time within it"
+            }
+            Self::Repeats => "It has the same bits as before: check that the sensor measures",
+            Self::Jumps => {
+                "It moved faster than the robot can: look for reflections and lost sights"
+            }
+            Self::Jumped => {
+                "It moved faster than the robot can many times in a row: look for reflections and lost sights. It is used again only after \
+                 cdcrctl stop and reset, or from a sensor that is started again"
+            }
+            Self::Frozen => {
+                "It had the same bits while the robot moved: check that the sensor measures. It is used again only after cdcrctl stop and reset, \
+                 or from a sensor that is started again"
+            }
+        }
+    }
+}
+
 /// How far a tip that is not used is measured from where the bends place it, for the person who has to correct it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TipRejection {
+    pub cause: TipCause,
     /// \[m\]
     pub away_m: f64,
     /// The largest distance that is followed \[m\].
@@ -22,9 +82,19 @@ impl TipRejection {
             return None;
         };
         Some(Self {
+            cause: record.tip_unused?,
             away_m: (tip_m - robot.tip_position(&record.present)).norm(),
             limit_m: tip_offset_max_m(robot.reach_m()),
         })
+    }
+
+    /// Whether it is a line of the log after `before`, the rejection of the cycle before. A sensor whose resolution is coarse
+    /// repeats its bits at rest.
+    pub fn is_news(&self, before: Option<&Self>) -> bool {
+        let before = before.map(|before| before.cause);
+        let has_begun = before.is_none_or(|before| before == TipCause::Repeats);
+        let has_become_lasting = self.cause.lasts() && before != Some(self.cause);
+        self.cause != TipCause::Repeats && (has_begun || has_become_lasting)
     }
 }
 
@@ -33,22 +103,9 @@ impl fmt::Display for TipRejection {
         let [away_mm, limit_mm] = [1e3 * self.away_m, 1e3 * self.limit_m];
         write!(
             f,
-            "the measured tip is not used, {away_mm:.1} mm from where the bends place it; the limit is {limit_mm:.1} mm, a ninth of the robot's length and at most 100 mm. "
-        )?;
-        if self.away_m > self.limit_m {
-            write!(
-                f,
-                "Usual causes: (1) the frame of the sensor is not that of the base: compare origin and axes with the robot straight \
-                 and bent (docs/drivers.md, Frames); (2) the sensor sends millimetres: send metres; (3) lengths or cable radii of the configuration are wrong: cdcrctl calibrate geometry; \
-                 (4) the encoders have lost their zero: docs/drivers.md, Zero; (5) the sensor sees something else than the tip"
-            )
-        } else {
-            write!(
-                f,
-                "Usual causes: (1) it jumps: look for reflections and lost sights; (2) it is frozen, with the same bits again: check that the sensor measures; \
-                 (3) it was beyond the limit before: it is used again after some time. After many jumps or a freeze it is used again only after cdcrctl stop and reset, or from a sensor that is started again"
-            )
-        }
+            "the measured tip is not used, {away_mm:.1} mm from where the bends place it; the limit is {limit_mm:.1} mm, a ninth of the robot's length and at most 100 mm. {}",
+            self.cause.advice()
+        )
     }
 }
 
@@ -56,14 +113,18 @@ impl fmt::Display for TipRejection {
 mod tests {
     use super::*;
 
-    #[test]
-    fn the_values_and_the_causes_that_fit_them_are_named() {
-        let limit_m = 0.0333;
-        let far = TipRejection {
+    fn rejection(cause: TipCause) -> TipRejection {
+        TipRejection {
+            cause,
             away_m: 0.05,
-            limit_m,
+            limit_m: 0.0333,
         }
-        .to_string();
+    }
+
+    #[test]
+    fn the_values_and_what_fits_the_cause_are_named() {
+        let text = |cause| rejection(cause).to_string();
+        let far = text(TipCause::Far);
         for part in [
             "50.0 mm from where",
             "the limit is 33.3 mm",
@@ -73,15 +134,31 @@ mod tests {
         ] {
             assert!(far.contains(part), "{far}");
         }
-        let near = TipRejection {
-            away_m: 0.02,
-            limit_m,
+        // Also beyond the limit, a tip may be rejected for another cause.
+        for (cause, part) in [
+            (TipCause::Jumps, "reflections"),
+            (TipCause::Frozen, "reset"),
+        ] {
+            let text = text(cause);
+            assert!(text.contains(part) && !text.contains("calibrate"), "{text}");
         }
-        .to_string();
-        assert!(
-            near.contains("20.0 mm") && near.contains("frozen"),
-            "{near}"
-        );
-        assert!(!near.contains("calibrate"), "{near}");
+    }
+
+    #[test]
+    fn a_rejection_is_logged_where_it_begins_and_where_it_lasts() {
+        use TipCause::{Far, Jumped, Jumps, Repeats};
+        for (before, now, is_logged) in [
+            (None, Far, true),
+            (None, Repeats, false),
+            (Some(Repeats), Far, true),
+            (Some(Far), Far, false),
+            (Some(Far), Jumps, false),
+            (Some(Jumps), Jumped, true),
+            (Some(Jumped), Jumped, false),
+        ] {
+            let before = before.map(rejection);
+            let is_news = rejection(now).is_news(before.as_ref());
+            assert_eq!(is_news, is_logged, "{before:?} {now:?}");
+        }
     }
 }

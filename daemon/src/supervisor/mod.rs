@@ -270,7 +270,7 @@ impl Supervisor {
             );
         }
         if let Some(rejection) = summary.tip_rejected
-            && self.newest.tip_rejected.is_none()
+            && rejection.is_news(self.newest.tip_rejected.as_ref())
         {
             tracing::warn!(cycle = summary.cycle, "{rejection}");
         }

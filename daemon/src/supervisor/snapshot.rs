@@ -2,7 +2,7 @@
 
 use cdcr_controller::nmpc::RateWeight;
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{Mode, Reason};
+use cdcr_shared_types::codes::{Mode, Reason, TipCause};
 
 use crate::config::{Config, LinkKind, TipSensor, Validated, ns};
 use crate::convert;
@@ -33,6 +33,9 @@ pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
     status.reference_position_m = summary.reference_position_m;
     status.measured_error_m = summary.measured_error_m;
     status.tip_measured_ns = summary.tip_measured_ns;
+    let rejected = summary.tip_rejected.map(|rejection| rejection.cause);
+    let cause = rejected.map_or(TipCause::None, convert::tip_cause);
+    status.tip_cause = cause.code();
     status.tips_refused = summary.refused_tips.count;
     status.tip_contradiction_m = summary.refused_tips.contradiction_m;
     status.tip_refused_by = summary.refused_tips.newest.code();

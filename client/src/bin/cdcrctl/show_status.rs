@@ -8,7 +8,7 @@ use cdcr_client::{
 };
 use cdcr_controller::safety::FarthestBend;
 use cdcr_shared_types::codes::{
-    Interface, LateCause, Mode, Outcome, Reason, RobotLink, SolverKind,
+    Interface, LateCause, Mode, Outcome, Reason, RobotLink, SolverKind, TipCause,
 };
 use cdcr_shared_types::message::{Field, Struct};
 use cdcr_shared_types::{LatencySummary, Statistics, Status};
@@ -196,6 +196,8 @@ fn place(out: &mut String, status: &Status) -> std::fmt::Result {
     }
     if let Some(unheard) = Unheard::of(status) {
         write!(out, "; {unheard}")?;
+    } else if let Some(cause) = unused_tip(status) {
+        write!(out, "; the measured tip is not in use: {cause}")?;
     }
     if let Some(refused) = refused_text(status) {
         write!(out, "\n            {refused}")?;
@@ -212,6 +214,11 @@ fn place(out: &mut String, status: &Status) -> std::fmt::Result {
         1e3 * largest_m,
         status.following_warnings
     )
+}
+
+fn unused_tip(status: &Status) -> Option<TipCause> {
+    let cause = TipCause::try_from(status.tip_cause).ok();
+    cause.filter(|cause| *cause != TipCause::None)
 }
 
 fn core_text(core: u32) -> String {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use cdcr_client::{Connection, counted, remedy};
 use cdcr_controller::estimator::tip_offset_max_m;
-use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome};
+use cdcr_shared_types::codes::{Mode, Outcome, TipCause};
 use cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS;
 use cdcr_shared_types::{Status, Telemetry};
 
@@ -62,24 +62,17 @@ pub(crate) fn cause(status: &Status, record: &Telemetry) -> Option<String> {
     if let Some(unheard) = Unheard::of(status) {
         return Some(unheard.to_string());
     }
+    let cause = TipCause::try_from(record.tip_cause).ok()?;
+    if cause == TipCause::None {
+        return None;
+    }
     let (robot, _) = robot_and_pose(record).ok()?;
     let of_bends_m: [f64; 3] =
         core::array::from_fn(|i| record.tip_position_m[i] - record.tip_offset_m[i]);
     let away_mm = 1e3 * distance_m(record.tip_measured_m, of_bends_m);
     let limit_mm = 1e3 * tip_offset_max_m(robot.reach_m());
-    let state = MeasurementState::try_from(record.tip_state);
-    let why = match state {
-        // A sensor is often slower than the cycle.
-        Ok(MeasurementState::Implausible | MeasurementState::Repeated) if away_mm > limit_mm => {
-            format!("more than the limit of {limit_mm:.1} mm")
-        }
-        Ok(MeasurementState::Implausible) => {
-            "it jumps, is frozen or was beyond the limit".to_owned()
-        }
-        _ => return None,
-    };
     Some(format!(
-        "the measured tip is not in use because it is {away_mm:.1} mm from where the bends place it, {why}"
+        "the measured tip is not in use because {cause}; it is {away_mm:.1} mm from where the bends place it, the limit is {limit_mm:.1} mm"
     ))
 }
 
@@ -135,14 +128,15 @@ mod tests {
         let section = &mut record.robot.section[0];
         (section.length_m, section.cable_radius_m) = (0.3, 0.02);
         (section.bend_max_rad, section.rate_max_rad_s) = (2.5, 4.0);
-        for (state, x_m, named) in [
-            (MeasurementState::Implausible, 0.05, "50.0 mm from where"),
-            (MeasurementState::Repeated, 0.05, "the limit of 33.3 mm"),
-            (MeasurementState::Implausible, 0.01, "it jumps"),
-            (MeasurementState::Repeated, 0.01, ""),
-            (MeasurementState::Used, 0.01, ""),
+        for (tip_cause, x_m, named) in [
+            (TipCause::Far, 0.05, "it is 50.0 mm from where"),
+            (TipCause::Far, 0.05, "the limit is 33.3 mm"),
+            // Also where the bends are within the limit by now, or beyond it for another cause.
+            (TipCause::Far, 0.01, "it is too far from"),
+            (TipCause::Jumps, 0.05, "it moved faster"),
+            (TipCause::None, 0.05, ""),
         ] {
-            record.tip_state = state.code();
+            record.tip_cause = tip_cause.code();
             record.tip_measured_m = [x_m, 0.0, 0.3];
             let cause = cause(&status, &record).unwrap_or_default();
             assert!(

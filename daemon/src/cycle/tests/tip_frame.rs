@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use super::DIRECT;
 use super::trial::{PERIOD_S, TRACK, Trial};
 use crate::config::Interface;
-use crate::handover::{CycleRecord, MeasurementUse};
+use crate::handover::{CycleRecord, MeasurementUse, TipCause};
 
 const BEGIN_M: [f64; 3] = [-0.15, 0.02, 0.68];
 const ACROSS_M_S: [f64; 3] = [0.1, 0.0, 0.0];
@@ -91,15 +91,15 @@ fn a_tip_that_was_lost_is_followed_again_after_a_while() {
         trial.feed_line(BEGIN_M, ACROSS_M_S, 0.1);
         trial.turns(100);
         trial.tip_error_m = Vector3::new(0.0, 0.12, 0.0);
-        assert_eq!(trial.turns(10).tip_use, MeasurementUse::Implausible);
+        assert_eq!(trial.turns(10).tip_unused, Some(TipCause::Far));
         trial.tip_error_m = Vector3::zeros();
         trial
     };
     let mut trial = lost();
     let waits = trial.turns(60);
-    assert_eq!(waits.tip_use, MeasurementUse::Implausible);
+    assert_eq!(waits.tip_unused, Some(TipCause::WasFar));
     assert!(waits.tip_margin_m < 0.01, "{}", waits.tip_margin_m);
-    assert_eq!(trial.turns(10).tip_use, MeasurementUse::Used);
+    assert_eq!(trial.turns(10).tip_unused, None);
     let mut other = lost();
     other.inputs.tip_sensors += 1;
     assert_eq!(other.turn().tip_use, MeasurementUse::Used);

@@ -170,3 +170,17 @@ fn a_fault_is_shown_with_its_remedy() {
     let remedy = object(&status)["remedy"].to_string();
     assert!(remedy.contains("still reads the sensors"), "{remedy}");
 }
+
+#[test]
+fn a_tip_that_is_not_in_use_is_named_with_its_cause() {
+    let mut status = Status {
+        tip_measured_ns: 1,
+        ..Status::default()
+    };
+    for (cause, is_named) in [(TipCause::None, false), (TipCause::Frozen, true)] {
+        status.tip_cause = cause.code();
+        let table = table(&status, None, 0).expect("formatted");
+        let text = "; the measured tip is not in use: it had the same bits while the robot moved\n";
+        assert_eq!(table.contains(text), is_named, "{table}");
+    }
+}
