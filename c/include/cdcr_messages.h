@@ -229,7 +229,8 @@ typedef enum CdcrReason {
     CDCR_REASON_REFERENCE_TOO_FAR = 18, /* the reference was replaced by one farther from the tip than motion.approach_distance_m */
     CDCR_REASON_COMMON_MODE = 19, /* the cables of a section went slack, or one broke (safety.cable_common_m) */
     CDCR_REASON_STOPPED_BEFORE = 20, /* it was stopped or faulted before the daemon started; use cdcrctl reset */
-    CDCR_REASON_POSE_DIFFERS = 21 /* the robot is measured far from where its last command left it */
+    CDCR_REASON_POSE_DIFFERS = 21, /* the robot is measured far from where its last command left it */
+    CDCR_REASON_OBSTACLES_LOST = 22 /* the obstacles of the previous daemon are lost; add them again, then use cdcrctl reset */
 } CdcrReason;
 
 typedef enum CdcrReferenceState {

@@ -161,6 +161,10 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
             "Check the robot, and the zero of encoders that were started again, too (docs/drivers.md, Zero), then cdcrctl reset."
         }
         Reason::PoseDiffers => ACCEPT_POSE,
+        Reason::ObstaclesLost => {
+            "Their file is of another version of cdcrd, or another program wrote it: check the robot and what is in its way, add the obstacles again, then \
+             cdcrctl reset."
+        }
         Reason::Shutdown => "Restart it with cdcrd run.",
     }
 }

@@ -393,7 +393,12 @@ fn as_left_before(cycle: Cycle, latch: Latch) -> Cycle {
              (`cdcrctl reset --accept-pose`)"
         );
     }
-    cycle.stopped_before().doubting_pose(is_in_doubt)
+    let reason = if latch.has_lost_obstacles() {
+        Reason::ObstaclesLost
+    } else {
+        Reason::StoppedBefore
+    };
+    cycle.stopped_before(reason).doubting_pose(is_in_doubt)
 }
 
 /// The life of the cycle thread: sleep until the release, run the cycle, hand over the record, wake the
@@ -445,7 +450,10 @@ pub fn run_cycles(
 /// Keeps a stop or a fault beyond the process until a reset. The end of the daemon is not a stop, and a latch
 /// found at the start remains.
 fn keep_latched(latch: Latch, before: Mode, now: Mode) {
-    let is_of_itself = matches!(now.reason(), Reason::Shutdown | Reason::StoppedBefore);
+    let is_of_itself = matches!(
+        now.reason(),
+        Reason::Shutdown | Reason::StoppedBefore | Reason::ObstaclesLost
+    );
     if now.is_latched() && now != before && !is_of_itself {
         latch.set(convert::mode(now), convert::reason(now.reason()));
         return;

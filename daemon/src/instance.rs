@@ -264,7 +264,7 @@ fn open_obstacles(path: &Path, latch: Latch) -> Result<KeptObstacles, InstanceEr
                  written the file; add them again before `cdcrctl reset`"
             );
             // Before the file is overwritten: a kill in between loses neither.
-            latch.stop_asked();
+            latch.lose_obstacles();
             kept.write(&ObstacleSet::default());
         }
     }

@@ -65,6 +65,18 @@ impl Latch {
         }
     }
 
+    /// Latches that the obstacles of the daemon before are lost, whatever has stopped the robot before: what is in its way
+    /// has to be added again.
+    pub fn lose_obstacles(&self) {
+        let doubt = self.word() & POSE_IN_DOUBT;
+        self.store(word_of(Mode::Stopped, Reason::ObstaclesLost) | doubt);
+    }
+
+    /// They are.
+    pub fn has_lost_obstacles(&self) -> bool {
+        self.word() & !POSE_IN_DOUBT == word_of(Mode::Stopped, Reason::ObstaclesLost)
+    }
+
     /// Creates a deleted file again, with its folder, if the robot is latched. Returns true if it is not.
     pub(crate) fn leave(&self, path: &Path) -> Result<bool> {
         let is_free = self.word() == FREE;
@@ -123,6 +135,10 @@ mod tests {
             assert_eq!(next.is_pose_in_doubt(), is_in_doubt);
             assert_eq!(next.describe().as_deref(), Some(description));
         }
+        // Lost obstacles come first, and the doubt remains.
+        assert!(!found.has_lost_obstacles());
+        found.lose_obstacles();
+        assert!(found.has_lost_obstacles() && found.is_pose_in_doubt());
         found.clear();
         // There is no doubt without a stop.
         found.doubt_pose(true);

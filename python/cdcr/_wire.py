@@ -310,6 +310,8 @@ class Reason(Code):
     """It was stopped or faulted before the daemon started; use cdcrctl reset."""
     POSE_DIFFERS = 21
     """The robot is measured far from where its last command left it."""
+    OBSTACLES_LOST = 22
+    """The obstacles of the previous daemon are lost; add them again, then use cdcrctl reset."""
 
 
 class ReferenceState(Code):

@@ -228,6 +228,8 @@ wire_enum! {
         StoppedBefore = 20: "it was stopped or faulted before the daemon started; use cdcrctl reset",
         /// Refuses a reset that does not accept the measured pose; never the reason of a mode.
         PoseDiffers = 21: "the robot is measured far from where its last command left it",
+        /// Another version of cdcrd, or another program, has written their file.
+        ObstaclesLost = 22: "the obstacles of the previous daemon are lost; add them again, then use cdcrctl reset",
     }
 }
 

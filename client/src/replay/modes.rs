@@ -74,10 +74,16 @@ impl Before {
         // A reset may arrive in the same cycle, and so may a hold of a robot that was not stopped before.
         let resets = [RequestKind::Reset, RequestKind::ResetAcceptingPose].map(RequestKind::code);
         let is_reset = |event: &InputEvent| resets.contains(&event.detail);
-        let is_stopped_before = is_now(Mode::Stopped, Reason::StoppedBefore)
+        let is_lost = is_now(Mode::Stopped, Reason::ObstaclesLost);
+        let is_stopped_before = is_lost
+            || is_now(Mode::Stopped, Reason::StoppedBefore)
             || is_now(Mode::Holding, Reason::Request) && requests.iter().any(is_reset);
         if is_stopped_before && machine.mode() == safety::Mode::Starting {
-            machine = ModeMachine::stopped_before();
+            machine = ModeMachine::stopped_before(if is_lost {
+                safety::Reason::ObstaclesLost
+            } else {
+                safety::Reason::StoppedBefore
+            });
         }
         let mut seen = self.observation(record);
         // On the way home it is accepted only on arrival.
@@ -249,7 +255,7 @@ macro_rules! reasons {
 reasons! {
     Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
     LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
-    InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore, PoseDiffers,
+    InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore, PoseDiffers, ObstaclesLost,
 }
 
 #[cfg(test)]

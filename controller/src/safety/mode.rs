@@ -65,6 +65,8 @@ pub enum Reason {
     StoppedBefore,
     /// The robot is measured far from where its last command left it: a reason to refuse a reset, not of a mode.
     PoseDiffers,
+    /// The obstacles known before the process was restarted are lost.
+    ObstaclesLost,
 }
 
 /// The mode with its state.
@@ -237,7 +239,7 @@ pub struct ModeMachine {
     tracked_lease: u32,
     faults: u64,
     ends: bool,
-    stopped_before: bool,
+    stopped_before: Option<Reason>,
 }
 
 impl ModeMachine {
@@ -250,10 +252,10 @@ impl ModeMachine {
         }
     }
 
-    /// A machine for a robot that was stopped or faulted and not reset since.
-    pub fn stopped_before() -> Self {
+    /// A machine for a robot that waits for a reset from the start on: it was stopped or faulted before, or its obstacles are lost.
+    pub fn stopped_before(reason: Reason) -> Self {
         Self {
-            stopped_before: true,
+            stopped_before: Some(reason),
             ..Self::default()
         }
     }
@@ -288,12 +290,10 @@ impl ModeMachine {
             self.hold(reason);
         }
         match self.mode {
-            Mode::Starting if self.stopped_before => {
-                self.mode = Mode::Stopped {
-                    reason: Reason::StoppedBefore,
-                };
-            }
-            Mode::Starting => self.hold(Reason::Start),
+            Mode::Starting => match self.stopped_before {
+                Some(reason) => self.mode = Mode::Stopped { reason },
+                None => self.hold(Reason::Start),
+            },
             Mode::Tracking { .. } => self.keep_tracking(seen),
             Mode::Homing if seen.at_home => self.hold(Reason::HomeReached),
             _ => {}

@@ -28,6 +28,7 @@ to_wire! {
         Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
         LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
         InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore, PoseDiffers,
+        ObstaclesLost,
     }
     /// Part of a command that the driver executes.
     pub interface: Interface => Interface { Velocity, Position }

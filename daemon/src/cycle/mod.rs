@@ -154,10 +154,10 @@ impl Cycle {
         self
     }
 
-    /// Starts latched, for a robot that was stopped or faulted before: it needs a reset.
+    /// Starts latched for this reason: the robot needs a reset.
     #[must_use]
-    pub fn stopped_before(mut self) -> Self {
-        self.modes = ModeMachine::stopped_before();
+    pub fn stopped_before(mut self, reason: Reason) -> Self {
+        self.modes = ModeMachine::stopped_before(reason);
         self
     }
 

@@ -303,7 +303,8 @@ fn nothing_moves_a_robot_whose_daemon_ends() {
 
 #[test]
 fn what_was_stopped_before_the_start_waits_for_a_reset() {
-    let mut machine = ModeMachine::stopped_before();
+    let reason = Reason::StoppedBefore;
+    let mut machine = ModeMachine::stopped_before(reason);
     machine.observe(&Observation::default());
     assert_eq!(machine.mode(), Mode::Starting, "nothing is measured");
     assert_eq!(
@@ -311,7 +312,6 @@ fn what_was_stopped_before_the_start_waits_for_a_reset() {
         Err(Refusal::WrongMode)
     );
     machine.observe(&good());
-    let reason = Reason::StoppedBefore;
     assert_eq!(machine.mode(), Mode::Stopped { reason });
     for request in [TRACK, Request::Home, Request::Hold] {
         assert_eq!(machine.request(request, &good()), Err(Refusal::WrongMode));

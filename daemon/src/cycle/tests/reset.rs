@@ -217,7 +217,10 @@ fn a_droop_that_is_no_fault_needs_no_word_at_a_reset() {
 #[test]
 fn a_pose_in_doubt_is_accepted_once() {
     let mut trial = Trial::new(Interface::Position);
-    trial.cycle = trial.cycle.stopped_before().doubting_pose(true);
+    trial.cycle = trial
+        .cycle
+        .stopped_before(Reason::StoppedBefore)
+        .doubting_pose(true);
     trial.turns(3);
     let refused = outcome(&mut trial, Request::Reset);
     assert_eq!(refused, Err(Refusal::PoseDiffers));

@@ -61,6 +61,7 @@ const ARROWS: &[Arrow] = &[
     world(&[Mode::Starting], Mode::Holding, Reason::Start),
     // The first measurement, of a robot that was stopped before the daemon was restarted.
     world(&[Mode::Starting], Mode::Stopped, Reason::StoppedBefore),
+    world(&[Mode::Starting], Mode::Stopped, Reason::ObstaclesLost),
     // The feed ended, its client fell silent or returned the lease.
     world(&[Mode::Tracking], Mode::Holding, Reason::ReferenceEnded),
     world(&[Mode::Tracking], Mode::Holding, Reason::LeaseExpired),

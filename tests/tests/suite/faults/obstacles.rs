@@ -395,7 +395,7 @@ fn a_daemon_that_cannot_read_the_obstacles_before_it_begins_stopped() {
     for is_first in [true, false] {
         daemon.restart();
         let (stopped, _) = record_with(&daemon, 0);
-        let expected = (Mode::Stopped.code(), Reason::StoppedBefore.code());
+        let expected = (Mode::Stopped.code(), Reason::ObstaclesLost.code());
         assert_eq!((stopped.mode, stopped.reason), expected);
         let lost = "the obstacles of the previous daemon are lost";
         assert_eq!(daemon.log().contains(lost), is_first, "{}", daemon.log());
