@@ -679,7 +679,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v16, 2296 bytes. */
+/* cdcr.Status.v16, 2304 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -798,12 +798,15 @@ typedef struct CdcrStatus {
     uint32_t tip_refused_by;
     /* 2284: 1: yes, 0: no. A tip sensor beside the driver is configured (link.tip_sensor). */
     uint32_t has_tip_sensor;
-    /* 2288: CdcrTipCause why the newest tip measured beside bends or cables is not used, as in Telemetry. */
+    /* 2288: A clearance below this is a fault [m] (safety.clearance_fault_m). */
+    double clearance_fault_m;
+    /* 2296: CdcrTipCause why the newest tip measured beside bends or cables is not used, as in Telemetry. */
     uint32_t tip_cause;
-    /* 2292: Zero. */
-    uint32_t reserved;
+    /* 2300: 1: yes, 0: no. The driver has measured only the tip: also a tip sensor beside it for which
+     * link.tip_sensor is not set. */
+    uint32_t driver_measures_tip_only;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2296);
+CDCR_ASSERT_SIZE(CdcrStatus, 2304);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {

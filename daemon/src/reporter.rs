@@ -241,6 +241,7 @@ impl Reporter {
             pose_differs: record.seen.pose_differs,
             tip_measured_ns: (record.tip_measurement).map_or(0, |timed| timed.measured_ns),
             refused_tips: inputs.refused_tips,
+            driver_measures_tip_only: inputs.driver_measures_tip_only,
             tip_rejected: self.tip_rejected,
             fault_place: self.fault_place,
             dropped_events: inputs.dropped_events,

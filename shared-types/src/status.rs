@@ -225,9 +225,11 @@ message! {
         tip_refused_by: u32 [code Outcome],
         /// A tip sensor beside the driver is configured (`link.tip_sensor`).
         has_tip_sensor: u32 [yes],
+        /// A clearance below this is a fault \[m\] (`safety.clearance_fault_m`).
+        clearance_fault_m: f64,
         /// [`codes::TipCause`](crate::codes::TipCause) why the newest tip measured beside bends or cables is not used, as in [`Telemetry`](crate::Telemetry).
         tip_cause: u32 [code TipCause],
-        /// Zero.
-        reserved: u32 [reserved],
+        /// The driver has measured only the tip: also a tip sensor beside it for which `link.tip_sensor` is not set.
+        driver_measures_tip_only: u32 [yes],
     }
 }

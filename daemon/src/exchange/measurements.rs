@@ -92,6 +92,11 @@ impl Measurements {
         self.driver.id()
     }
 
+    /// The driver has sent tips, and neither bends nor cables.
+    pub(super) fn driver_measures_tip_only(&self) -> bool {
+        self.driver.id().is_some() && !self.has_bends
+    }
+
     /// Number of drivers so far.
     pub(super) fn drivers(&self) -> u64 {
         self.drivers

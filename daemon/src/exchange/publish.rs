@@ -94,6 +94,7 @@ impl Exchange {
             obstacles_refused: self.obstacles.refused(),
             silent_source: self.obstacles.silent_source(now_ns),
             refused_tips: self.measurements.refused_tips(),
+            driver_measures_tip_only: self.measurements.driver_measures_tip_only(),
             safe_distance_min_m: self.settings.safe_distance_min_m,
         }
     }

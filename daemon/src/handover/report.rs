@@ -66,6 +66,8 @@ pub struct InputReport {
     /// The source of obstacles that is silent since the earliest time, and that time \[ns\].
     pub silent_source: Option<(u64, u64)>,
     pub refused_tips: RefusedTips,
+    /// The driver has sent tips, and neither bends nor cables.
+    pub driver_measures_tip_only: bool,
     /// Smallest safe distance that a client may set \[m\].
     pub safe_distance_min_m: f64,
 }

@@ -88,6 +88,8 @@ pub struct Summary {
     pub tip_measured_ns: u64,
     /// Measurements of the tip that were refused so far.
     pub refused_tips: RefusedTips,
+    /// The driver has sent tips, and neither bends nor cables.
+    pub driver_measures_tip_only: bool,
     /// The newest tip measured beside the bends, if it was rejected.
     pub tip_rejected: Option<TipRejection>,
     /// Where the cycle that began the present fault saw its cause.

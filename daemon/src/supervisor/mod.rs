@@ -4,6 +4,7 @@
 //! other real-time threads. It receives the cycles through rings that never block the sender. It waits for no
 //! file: the `status_desk` publishes its results.
 
+mod refusals;
 mod snapshot;
 mod statistics;
 mod steal;
@@ -12,19 +13,21 @@ mod watchdog;
 
 use std::time::{Duration, Instant};
 
+use cdcr_controller::safety::FollowingError;
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{LateCause, Mode, Outcome};
-use cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS;
+use cdcr_shared_types::codes::{LateCause, Mode};
+use cdcr_shared_types::limits::{POSE_DIFFERS_RAD, TIP_SENSOR_SILENT_MS};
 
 use crate::config::{Validated, ns};
 use crate::exit::{Ended, ExitCause};
-use crate::handover::{RefusedTips, Shared, Summary, SupervisorEnds};
+use crate::handover::{Shared, Summary, SupervisorEnds};
 use crate::rt::clock::Clock;
 use crate::service_manager::{ServiceManager, StatusLine};
 use crate::status_desk::StatusDesk;
+use refusals::{Refusals, newest_refusal};
 use statistics::Statistics;
 use steal::{Steal, Stolen};
-use tip_silence::{TipNews, TipSilence, contradiction};
+use tip_silence::{TipNews, TipSilence};
 use watchdog::Watchdog;
 
 /// Ten periods between two checks, within this range: a check costs a wake-up with cold caches.
@@ -64,6 +67,7 @@ pub struct Supervisor {
     late: Option<Summary>,
     logged: Instant,
     tip_silence: TipSilence,
+    refusals: Refusals,
 }
 
 /// Rate of the cycles.
@@ -112,6 +116,7 @@ impl Supervisor {
             late: None,
             logged: now,
             tip_silence: TipSilence::new(snapshot::has_tip_sensor(&validated.config)),
+            refusals: Refusals::new(snapshot::has_tip_sensor(&validated.config)),
         })
     }
 
@@ -252,10 +257,10 @@ impl Supervisor {
         let was_latched = matches!(self.newest.mode, Mode::Stopped | Mode::Faulted);
         let is_latched = matches!(summary.mode, Mode::Stopped | Mode::Faulted);
         if was_latched && !is_latched && summary.pose_differs {
-            let (section, rad) = summary.following.largest();
+            let pose = accepted_pose(&summary.following);
             tracing::warn!(
                 cycle = summary.cycle,
-                "the reset accepted a pose that differs from that of the last command: section {section} by {rad:.2} rad"
+                "the reset accepted a pose that differs from that of the last command{pose}"
             );
         }
         if summary.following_warning
@@ -278,6 +283,13 @@ impl Supervisor {
             Some(TipNews::Silent) => tracing::warn!(
                 cycle = summary.cycle,
                 "the tip sensor is silent for {TIP_SENSOR_SILENT_MS} ms: the robot goes on with its bends, and with the offset of the tip as it was last"
+            ),
+            Some(TipNews::SilentForLong {
+                silent_s,
+                interval_s,
+            }) => tracing::warn!(
+                cycle = summary.cycle,
+                "the tip sensor, silent for {interval_s} s at most before, is silent for {silent_s} s: check that it runs"
             ),
             Some(TipNews::Missing) => tracing::warn!(
                 cycle = summary.cycle,
@@ -322,29 +334,14 @@ impl Supervisor {
         }
     }
 
-    /// Logs the first message refused for each reason; the status counts them all.
-    fn log_refusals(&self, summary: &Summary) {
-        let of = |summary: &Summary, outcome: Outcome| summary.outcomes[outcome.code() as usize];
-        let refusals = Outcome::ALL
-            .iter()
-            .filter(|&&outcome| outcome != Outcome::Accepted);
-        for &outcome in refusals {
-            if of(&self.newest, outcome) == 0 && of(summary, outcome) > 0 {
-                let reason = outcome.text();
-                let is_tip = summary.refused_tips.newest == outcome;
-                let hint = match outcome {
-                    Outcome::OtherDriver if is_tip && self.status.has_tip_sensor == 0 => {
-                        "; a tip sensor in a process of its own needs link.tip_sensor = \"separate\"".to_owned()
-                    }
-                    Outcome::TipElsewhere => contradiction(summary.refused_tips.contradiction_m),
-                    _ => String::new(),
-                };
-                tracing::warn!(
-                    cycle = summary.cycle,
-                    reason,
-                    "refused a message: {reason}{hint}"
-                );
-            }
+    fn log_refusals(&mut self, summary: &Summary) {
+        for (outcome, hint) in self.refusals.news(summary, &self.newest) {
+            let reason = outcome.text();
+            tracing::warn!(
+                cycle = summary.cycle,
+                reason,
+                "refused a message: {reason}{hint}"
+            );
         }
     }
 
@@ -408,11 +405,11 @@ fn has_changed_mode(summary: &Summary, before: &Summary) -> bool {
     (summary.mode, summary.reason) != (before.mode, before.reason)
 }
 
-/// Why the newest of the refused tips was refused.
-fn newest_refusal(refused: RefusedTips) -> String {
-    match refused.newest {
-        Outcome::Accepted => "; none arrived: check that the tip sensor runs and sends".to_owned(),
-        outcome => format!("; the newest was refused: {outcome} (cdcrctl status has the remedy)"),
+/// Section and distance; the daemon before this one knew them where it left the pose in doubt.
+fn accepted_pose(following: &FollowingError) -> String {
+    match following.largest() {
+        (section, rad) if rad > POSE_DIFFERS_RAD => format!(": section {section} by {rad:.2} rad"),
+        _ => ", which is that of the daemon before".to_owned(),
     }
 }
 

@@ -35,6 +35,7 @@ pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
     status.tip_measured_ns = summary.tip_measured_ns;
     let rejected = summary.tip_rejected.map(|rejection| rejection.cause);
     let cause = rejected.map_or(TipCause::None, convert::tip_cause);
+    status.driver_measures_tip_only = summary.driver_measures_tip_only.into();
     status.tip_cause = cause.code();
     status.tips_refused = summary.refused_tips.count;
     status.tip_contradiction_m = summary.refused_tips.contradiction_m;
@@ -74,6 +75,7 @@ pub(super) fn first(validated: &Validated, daemon_id: u64) -> wire::Status {
         robot: convert::robot(&validated.robot),
         settings: convert::settings_to_wire(&Settings::new(config)),
         clearance_m: f64::INFINITY,
+        clearance_fault_m: config.safety.clearance_fault_m,
         safe_distance_min_m: config.controller.safe_distance_m,
         obstacle_source_timeout_ns: ns(config.obstacles.source_timeout_ms),
         rate_weight_auto: RateWeight::auto(config.link.is_ideal()).into(),

@@ -8,6 +8,8 @@ const SILENT_NS: u64 = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
 /// A sensor that was silent counts as regular again after this time without a silence \[ns\]. One that measures less than
 /// once a second never does: it is one line of the log, not two for each measurement.
 const REGULAR_NS: u64 = 5_000_000_000;
+/// A sensor that measures seldom is silent for longer than so many of its intervals where it has ended.
+const INTERVALS_MAX: u64 = 3;
 
 /// What the log has to say about the silences of a tip sensor.
 #[derive(Debug, Default)]
@@ -19,6 +21,12 @@ pub(super) struct TipSilence {
     is_logged: bool,
     /// Since when a sensor whose silence is in the log has not been silent \[ns\].
     heard_since_ns: Option<u64>,
+    /// The newest measurement since the line of the log \[ns\].
+    newest_ns: u64,
+    /// Longest time between two measurements since then \[ns\]; 0: there was one at most.
+    interval_ns: u64,
+    /// The measurement after which the sensor was reported silent \[ns\].
+    logged_ns: u64,
 }
 
 /// A line of the log.
@@ -27,6 +35,11 @@ pub(super) enum TipNews {
     /// No measurement of the configured sensor was accepted yet.
     Missing,
     Silent,
+    /// So much longer than between its measurements, since a line about an earlier silence.
+    SilentForLong {
+        silent_s: u64,
+        interval_s: u64,
+    },
     /// After a silence.
     Regular,
 }
@@ -45,11 +58,18 @@ impl TipSilence {
         if summary.tip_measured_ns == 0 {
             return self.missing(summary);
         }
+        self.learn_interval(summary.tip_measured_ns);
         if is_silent(summary) {
             self.heard_since_ns = None;
-            let is_news = !self.is_logged && summary.mode != Mode::Faulted;
-            self.is_logged |= is_news;
-            return is_news.then_some(TipNews::Silent);
+            if summary.mode == Mode::Faulted {
+                return None;
+            }
+            if self.is_logged {
+                return self.silent_for_long(summary);
+            }
+            self.is_logged = true;
+            (self.newest_ns, self.logged_ns) = (summary.tip_measured_ns, summary.tip_measured_ns);
+            return Some(TipNews::Silent);
         }
         if !self.is_logged {
             return None;
@@ -60,6 +80,29 @@ impl TipSilence {
         }
         *self = Self::new(self.is_expected);
         Some(TipNews::Regular)
+    }
+
+    fn learn_interval(&mut self, measured_ns: u64) {
+        if self.is_logged && self.newest_ns > 0 {
+            let interval_ns = measured_ns.saturating_sub(self.newest_ns);
+            self.interval_ns = self.interval_ns.max(interval_ns);
+        }
+        self.newest_ns = measured_ns;
+    }
+
+    /// A sensor that measures seldom may end, too. Each line needs a longer silence than the one before.
+    fn silent_for_long(&mut self, summary: &Summary) -> Option<TipNews> {
+        let silent_ns = summary.due_ns.saturating_sub(summary.tip_measured_ns);
+        let is_long = self.interval_ns > 0 && silent_ns > INTERVALS_MAX * self.interval_ns;
+        let is_news = is_long && self.logged_ns != summary.tip_measured_ns;
+        is_news.then(|| {
+            self.logged_ns = summary.tip_measured_ns;
+            let [silent_s, interval_s] = [silent_ns, self.interval_ns].map(|ns| ns / 1_000_000_000);
+            TipNews::SilentForLong {
+                silent_s,
+                interval_s,
+            }
+        })
     }
 
     /// The news of a cycle before the first measurement. While the robot waits for its driver, or rests in a fault, a missing
@@ -79,15 +122,6 @@ impl TipSilence {
 /// A sensor that measured the tip beside bends or cables does so no more.
 fn is_silent(summary: &Summary) -> bool {
     summary.due_ns.saturating_sub(summary.tip_measured_ns) > SILENT_NS
-}
-
-/// What first bends are refused for while a tip sensor contradicts them.
-pub(super) fn contradiction(away_m: f64) -> String {
-    format!(
-        ": {:.0} mm away. Usual causes: (1) the driver sends degrees or millimetres; (2) scale, sign, order or zero of its encoders are wrong; \
-         (3) the frame of the tip sensor is not that of the base",
-        1e3 * away_m
-    )
 }
 
 #[cfg(test)]
@@ -135,6 +169,40 @@ mod tests {
         assert_eq!(of(often_ns, 18, 30), [TipNews::Regular]);
         assert_eq!(of(seldom_ns, 30, 300), [TipNews::Silent]);
         assert_eq!(of(often_ns, 300, 320), [TipNews::Regular]);
+    }
+
+    /// A camera that measures each three seconds has one line, and another one when it ends.
+    #[test]
+    fn the_end_of_a_slow_sensor_is_logged() {
+        let mut watch = TipSilence::default();
+        let mut at = |due_s: u64, measured_s: u64| {
+            let summary = Summary {
+                mode: Mode::Holding,
+                due_ns: due_s * 1_000_000_000,
+                tip_measured_ns: measured_s * 1_000_000_000,
+                ..Summary::default()
+            };
+            watch.news(&summary)
+        };
+        let news: Vec<_> = (3..200)
+            .filter_map(|due_s| {
+                let measured_s = match due_s {
+                    ..40 | 100..110 => due_s / 3 * 3,
+                    40..100 => 39,
+                    _ => 108,
+                };
+                at(due_s, measured_s)
+            })
+            .collect();
+        let [TipNews::Silent, end, rest @ ..] = news.as_slice() else {
+            panic!("{news:?}");
+        };
+        assert!(
+            matches!(end, TipNews::SilentForLong { interval_s: 3, .. }),
+            "{end:?}"
+        );
+        // It is silent for longer than the first time only later.
+        assert_eq!(rest, []);
     }
 
     /// Some drivers measure the tip, others do not: only the configuration says that a sensor is missing.

@@ -128,8 +128,8 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
         writeln!(out, "            {bend}")?;
     }
     let reasons = [status.reason, status.reset_refused_by];
-    // Only telemetry has `safety.clearance_fault_m`; 0 is its default.
-    if let Some(share) = margin_share(&reasons, status.clearance_m, status.tip_margin_m, 0.0) {
+    let limit_m = status.clearance_fault_m;
+    if let Some(share) = margin_share(&reasons, status.clearance_m, status.tip_margin_m, limit_m) {
         writeln!(out, "            {share}")?;
     }
     if let Some(remedy) = status_remedy(status) {
@@ -143,6 +143,13 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
         if let Some(reason) = reason.ok().filter(|reason| reason.code() != status.reason) {
             writeln!(out, "            {}", reason_remedy(reason))?;
         }
+    }
+    if is_tip_sensor_undeclared(status) {
+        writeln!(
+            out,
+            "driver      measures only the tip, and messages of another driver are refused: a tip sensor beside a driver needs \
+             link.tip_sensor = \"separate\" and a restart of cdcrd"
+        )?;
     }
     place(out, status)?;
     if status.misses_tolerated > 0 {
@@ -214,6 +221,13 @@ fn place(out: &mut String, status: &Status) -> std::fmt::Result {
         1e3 * largest_m,
         status.following_warnings
     )
+}
+
+/// A tip sensor that was started before the driver is probably taken for it.
+fn is_tip_sensor_undeclared(status: &Status) -> bool {
+    status.driver_measures_tip_only != 0
+        && status.has_tip_sensor == 0
+        && status.outcomes[Outcome::OtherDriver.code() as usize] > 0
 }
 
 fn unused_tip(status: &Status) -> Option<TipCause> {

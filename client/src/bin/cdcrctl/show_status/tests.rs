@@ -84,6 +84,17 @@ fn the_table_says_what_matters() {
         let table = super::table(&status, None, 0).expect("formatted");
         assert_eq!(table.contains(share), is_named, "{table}");
     }
+    // The fault is below the configured limit.
+    status.reason = Reason::ClearanceBroken.code();
+    for (limit_m, clearance_m, is_named) in [
+        (0.01, 0.005, true),
+        (0.01, 0.015, false),
+        (-0.01, -0.005, false),
+    ] {
+        (status.clearance_fault_m, status.clearance_m) = (limit_m, clearance_m);
+        let table = super::table(&status, None, 0).expect("formatted");
+        assert_eq!(table.contains(share), is_named, "{table}");
+    }
 }
 
 #[test]
@@ -182,5 +193,28 @@ fn a_tip_that_is_not_in_use_is_named_with_its_cause() {
         let table = table(&status, None, 0).expect("formatted");
         let text = "; the measured tip is not in use: it had the same bits while the robot moved\n";
         assert_eq!(table.contains(text), is_named, "{table}");
+    }
+}
+
+#[test]
+fn a_tip_sensor_that_is_taken_for_the_driver_is_named() {
+    for (tip_only, refused, is_declared, is_named) in [
+        (1, 3, 0, true),
+        (1, 0, 0, false),
+        (0, 3, 0, false),
+        (1, 3, 1, false),
+    ] {
+        let mut status = Status {
+            driver_measures_tip_only: tip_only,
+            has_tip_sensor: is_declared,
+            ..Status::default()
+        };
+        status.outcomes[Outcome::OtherDriver.code() as usize] = refused;
+        let table = table(&status, None, 0).expect("formatted");
+        assert_eq!(
+            table.contains("driver      measures only the tip"),
+            is_named,
+            "{table}"
+        );
     }
 }
