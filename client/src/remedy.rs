@@ -24,7 +24,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         }
         Outcome::TipElsewhere => {
             "Check units, signs, order and zero of the driver (bends in rad, cables in m; the scale of the encoders) and the frame of the tip sensor \
-             (docs/drivers.md, Frames, angles, signs); the limit is a ninth of the robot's length. To start without the tip sensor, restart cdcrd without link.tip_sensor."
+             (docs/drivers.md, Frames, angles, signs); the limit is a ninth of the robot's length, 0.1 m at most. To start without the tip sensor, restart cdcrd without link.tip_sensor."
         }
         Outcome::OutOfReach => {
             "Scale or move the reference into the ball whose radius is the robot's length; positions are in m: 150 mm are 0.15."
@@ -124,18 +124,18 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
         }
         Reason::MeasurementLost => {
             "Check that the driver runs and measures within each link.measurement_timeout_ms, and in cdcrctl status that no messages are \
-             refused (cdcrctl echo telemetry shows refused measurements), then cdcrctl reset."
+             refused (cdcrctl echo telemetry shows refused measurements), then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::MeasurementJump => {
             "Check the sensors and the driver (cdcrctl echo telemetry shows each measurement's state), then \
-             cdcrctl reset."
+             cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::MeasurementFrozen => {
-            "Check that the driver still reads the sensors and the robot can move, then cdcrctl reset."
+            "Check that the driver still reads the sensors and the robot can move, then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::FollowingError => {
             "Check that the motors run and nothing holds the robot; with a new driver also the sign, order and unit of its cables, and that \
-             it obeys its commands (cdcrctl status shows the following error). Then cdcrctl reset."
+             it obeys its commands (cdcrctl status shows the following error). Then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::InputsStale => {
             "The machine delayed the daemon's exchange thread: see the causes in cdcrctl incidents, then track again."
@@ -158,7 +158,7 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
              sensor first; where the robot rests clear of the obstacle, its motors lag more than [actuator] states, or its driver stalls."
         }
         Reason::StoppedBefore => {
-            "Check the robot, and the zero of encoders that were started again, too (docs/drivers.md, Zero), then cdcrctl reset."
+            "Check the robot, and the zero of encoders that were started again, too (docs/drivers.md, Zero), then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::PoseDiffers => ACCEPT_POSE,
         Reason::ObstaclesLost => {
@@ -182,6 +182,16 @@ mod tests {
         for &reason in Reason::ALL {
             let text = reason_remedy(reason);
             assert!(text.ends_with('.') && text.len() > 10, "{reason:?}");
+        }
+        // After these the robot may be elsewhere than its last command.
+        for reason in [
+            Reason::MeasurementLost,
+            Reason::MeasurementJump,
+            Reason::MeasurementFrozen,
+            Reason::FollowingError,
+            Reason::StoppedBefore,
+        ] {
+            assert!(reason_remedy(reason).contains("--accept-pose"), "{reason}");
         }
         // A reset is also refused while the leaky bucket is full.
         assert!(remedy(Outcome::CauseStands).contains("deadline misses"));

@@ -32,6 +32,11 @@ class LinkError(Error, ConnectionError):
 class RequestError(Error):
     """The daemon refused a request, or did not answer."""
 
+    section: int = 0
+    """Of a reset that has to accept the pose: the section measured farthest from where the last command left it, 1 next to the base; otherwise 0."""
+    distance_rad: float = 0.0
+    """How far [rad]."""
+
 
 class FeedError(Error):
     """A reference was not followed to its end."""

@@ -1,8 +1,8 @@
 //! Exceptions: the error and, as `.remedy`, what to do. Their classes are in `cdcr/_errors.py`.
 
 use cdcr_client::{
-    ConnectError, FeedError, LinkError, Liveness, PlantError, RequestError, StopError, remedy,
-    request_remedy,
+    ConnectError, FeedError, LinkError, Liveness, PlantError, PoseDifference, RequestError,
+    StopError, remedy, request_remedy,
 };
 use cdcr_controller::nmpc::SettingsError;
 use cdcr_controller::plant::FlawError;
@@ -39,6 +39,8 @@ pub(crate) struct Failure {
     class: Class,
     message: String,
     remedy: String,
+    /// Of a refused reset.
+    pose: PoseDifference,
 }
 
 impl Failure {
@@ -52,6 +54,7 @@ impl Failure {
                 .map_or(message.as_str(), |what| what.trim_end_matches(['.', ' ']))
                 .to_owned(),
             remedy,
+            pose: PoseDifference::default(),
         }
     }
 
@@ -67,7 +70,15 @@ impl From<Failure> for PyErr {
             let class = py
                 .import("cdcr._errors")
                 .and_then(|module| module.getattr(failure.class.name()));
-            match class.and_then(|class| class.call1((failure.message, failure.remedy))) {
+            let made = class.and_then(|class| {
+                let exception = class.call1((failure.message, failure.remedy))?;
+                if failure.pose.section != 0 {
+                    exception.setattr("section", failure.pose.section)?;
+                    exception.setattr("distance_rad", failure.pose.rad)?;
+                }
+                Ok(exception)
+            });
+            match made {
                 Ok(exception) => Self::from_value(exception),
                 Err(error) => error,
             }
@@ -173,7 +184,14 @@ impl From<RequestError> for Failure {
             RequestError::Link { .. } => next_after_silence(Liveness::Unknown),
             RequestError::Answer { .. } => "Install daemon and package of one version.",
         };
-        Self::new(Class::Request, &error, next)
+        let pose = match &error {
+            RequestError::Refused { pose, .. } => *pose,
+            _ => PoseDifference::default(),
+        };
+        Self {
+            pose,
+            ..Self::new(Class::Request, &error, next)
+        }
     }
 }
 

@@ -373,6 +373,8 @@ def test_a_reset_where_the_last_command_did_not_leave_the_robot_has_to_accept_th
             with pytest.raises(cdcr.RequestError, match="section 2 by 0.50 rad") as refused:
                 connection.reset()
             assert "accept" in (refused.value.remedy or "")
+            assert refused.value.section == 2
+            assert refused.value.distance_rad == pytest.approx(0.5, abs=0.01)
             connection.reset(accept_pose=True)
             eventually(lambda: status_of("mode") is cdcr.Mode.HOLDING)
     finally:
