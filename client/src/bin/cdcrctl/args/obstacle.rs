@@ -103,8 +103,8 @@ pub(crate) struct ObstacleAdd {
     /// Velocity in m/s, from now on
     #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, default_value = "0,0,0", allow_hyphen_values = true)]
     pub(crate) velocity: Vector,
-    /// Lifetime [default: until removed]. Rejected where the daemon
-    /// supervises the sources of obstacles
+    /// Remove it after this time [default: keep it until it is removed]. Refused where
+    /// the daemon supervises the sources of obstacles: this command could not renew it
     #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::CURVE_S), allow_hyphen_values = true)]
     pub(crate) lifetime: Option<Duration>,
     /// Accept an obstacle that is far away, faster than 2 m/s, or contains the base (values are in m and m/s)
