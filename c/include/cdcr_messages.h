@@ -652,7 +652,8 @@ typedef struct CdcrStatistics {
     /* 88: Cycles of a robot behind a driver that saw no newer measurement than the cycle before. */
     uint64_t stale_measurements;
     /* 96: Tips that were not used: refused at their arrival, or measured beside bends or cables and implausible:
-     * they jumped, were frozen or were more than a ninth of the robot's length from where the bends place them. */
+     * they jumped, were frozen or were more than a ninth of the robot's length, or 0.1 m, from where the bends place
+     * them. */
     uint64_t tips_not_used;
     /* 104: Records, with their part of the statistics, and events that were lost inside the daemon because a queue
      * was full. */
@@ -794,7 +795,7 @@ typedef struct CdcrStatus {
     /* 2272: Distance of the measured tip from where the newest refused first bends placed it [m], in whole
      * millimetres; 0: none was refused for it. */
     double tip_contradiction_m;
-    /* 2280: CdcrOutcome. Outcome of the newest of them; accepted: none was refused. */
+    /* 2280: CdcrOutcome. Outcome of the newest of them; accepted: none was refused since a tip was accepted. */
     uint32_t tip_refused_by;
     /* 2284: 1: yes, 0: no. A tip sensor beside the driver is configured (link.tip_sensor). */
     uint32_t has_tip_sensor;

@@ -304,7 +304,7 @@ wire_enum! {
         PoseDiffers = 28: "the robot is measured far from where its last command left it",
         /// A first bend of a driver beyond 2π rad.
         BeyondTurn = 29: "a bend is larger than a full turn",
-        /// More than a ninth of the robot's length, when a tip sensor measures beside the first bends of a driver.
+        /// More than a ninth of the robot's length, or 0.1 m, when a tip sensor measures beside the first bends of a driver.
         TipElsewhere = 30: "the tip is measured far from where the first bends place it",
     }
 }

@@ -80,7 +80,7 @@ message! {
         tip_error_max_nm: u64 [max "largest tip error"],
         /// Cycles of a robot behind a driver that saw no newer measurement than the cycle before.
         stale_measurements: u64 [sum "stale measurements"],
-        /// Tips that were not used: refused at their arrival, or measured beside bends or cables and implausible: they jumped, were frozen or were more than a ninth of the robot's length from where the bends place them.
+        /// Tips that were not used: refused at their arrival, or measured beside bends or cables and implausible: they jumped, were frozen or were more than a ninth of the robot's length, or 0.1 m, from where the bends place them.
         tips_not_used: u64 [sum "measured tips not used"],
         /// Records, with their part of the statistics, and events that were lost inside the daemon because a queue was full.
         dropped_records: u64 [sum "dropped records"],
@@ -221,7 +221,7 @@ message! {
         tips_refused: u64,
         /// Distance of the measured tip from where the newest refused first bends placed it \[m\], in whole millimetres; 0: none was refused for it.
         tip_contradiction_m: f64,
-        /// [`Outcome`] of the newest of them; accepted: none was refused.
+        /// [`Outcome`] of the newest of them; accepted: none was refused since a tip was accepted.
         tip_refused_by: u32 [code Outcome],
         /// A tip sensor beside the driver is configured (`link.tip_sensor`).
         has_tip_sensor: u32 [yes],

@@ -34,8 +34,20 @@ pub(super) struct Measurements {
     /// Number of processes that measured the tip so far.
     tip_sensors: u64,
     refused_tips: RefusedTips,
+    agreement: Agreement,
 }
 
+/// Tips in a row that agree with the first bends of a sender, after one that contradicted some.
+#[derive(Debug, Clone, Copy, Default)]
+struct Agreement {
+    sender_id: u64,
+    tips: u32,
+    /// Time of the newest of them \[ns\].
+    newest_ns: u64,
+}
+
+/// So many tips have to agree: one may be a stray one. A camera that measures once a second delays the start by 3 s.
+const AGREEING_TIPS: u32 = 3;
 /// A silent tip sensor may be replaced by another one \[ns\].
 const TIP_SENSOR_LOST_NS: u64 = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
 /// A driver that has sent no bends or cables for this long since its first tip measures the tip alone \[ns\].
@@ -70,6 +82,7 @@ impl Measurements {
             newest_tip: None,
             tip_sensors: 0,
             refused_tips: RefusedTips::default(),
+            agreement: Agreement::default(),
         }
     }
 
@@ -134,11 +147,18 @@ impl Measurements {
         } else if self.has_bends {
             self.refused_tips.contradiction_m = 0.0;
         }
-        if let Err(refused) = &taken
-            && message.kind == MeasurementKind::TipPose.code()
-        {
-            self.refused_tips.count += 1;
-            self.refused_tips.newest = refused.outcome;
+        if message.kind == MeasurementKind::TipPose.code() {
+            match &taken {
+                Err(refused) => {
+                    self.refused_tips.count += 1;
+                    self.refused_tips.newest = refused.outcome;
+                    self.refused_tips.is_over = false;
+                }
+                Ok(outcome) => {
+                    let is_accepted = *outcome == Outcome::Accepted;
+                    self.refused_tips.is_over |= is_accepted && self.refused_tips.count > 0;
+                }
+            }
         }
         taken
     }
@@ -200,7 +220,7 @@ impl Measurements {
     /// Refuses an invalid measurement, or one too old at its arrival: it does not show where the robot is,
     /// even if its sender works.
     fn checked(
-        &self,
+        &mut self,
         message: &Measurement,
         bound: BoundSender,
         may_change: bool,
@@ -234,7 +254,12 @@ impl Measurements {
         if is_first
             && !self.has_bends
             && self.drivers <= 1
-            && let Some(away_m) = self.contradiction_m(&timed.measurement, robot, arrival.now_ns)
+            && let Some(away_m) = self.contradiction_m(
+                message.header.sender_id,
+                &timed.measurement,
+                robot,
+                arrival.now_ns,
+            )
         {
             return Err(Refused::at(Outcome::TipElsewhere, (1e3 * away_m) as usize));
         }
@@ -243,8 +268,14 @@ impl Measurements {
 
     /// How far the tip is measured from where first bends place it \[m\], if a tip sensor measures and that is too far.
     /// Motors that follow positions would jump with their first command. Later, the body counts as that much thicker.
-    /// A sensor that measures no more, for example because a person stands before it, takes nothing back.
-    fn contradiction_m(&self, bends: &Measured, robot: &Robot, now_ns: u64) -> Option<f64> {
+    /// A sensor that measures no more, for example because a person stands before it, takes nothing back, and no single tip does.
+    fn contradiction_m(
+        &mut self,
+        sender_id: u64,
+        bends: &Measured,
+        robot: &Robot,
+        now_ns: u64,
+    ) -> Option<f64> {
         self.tip_sensor?;
         let tip = self.newest_tip?;
         let bends = bends.configuration(robot)?;
@@ -257,11 +288,29 @@ impl Measurements {
         let away_m = (tip_m - robot.tip_position(&bends)).norm();
         let is_far = away_m > tip_offset_max_m(robot.reach_m());
         let before_m = self.refused_tips.contradiction_m;
-        if measures && is_place {
-            is_far.then_some(away_m)
-        } else {
-            (before_m > 0.0).then_some(before_m)
+        if measures && is_place && is_far {
+            if self.agreement.sender_id == sender_id {
+                self.agreement.tips = 0;
+            }
+            return Some(away_m);
         }
+        let agrees = measures && is_place && self.has_agreed(sender_id, tip.measured_ns);
+        (before_m > 0.0 && !agrees).then_some(before_m)
+    }
+
+    /// A tip agrees with the first bends of a sender: whether enough have done so in a row.
+    fn has_agreed(&mut self, sender_id: u64, measured_ns: u64) -> bool {
+        if self.agreement.sender_id != sender_id {
+            self.agreement = Agreement {
+                sender_id,
+                ..Agreement::default()
+            };
+        }
+        if self.agreement.newest_ns != measured_ns {
+            self.agreement.newest_ns = measured_ns;
+            self.agreement.tips += 1;
+        }
+        self.agreement.tips >= AGREEING_TIPS
     }
 }
 

@@ -30,6 +30,8 @@ pub struct RefusedTips {
     pub count: u64,
     /// Why the newest of them was refused; accepted: there is none.
     pub newest: Outcome,
+    /// A measurement of the tip was accepted since.
+    pub is_over: bool,
     /// Distance of the measured tip from where the newest refused first bends placed it \[m\]; 0: none was refused for it.
     pub contradiction_m: f64,
 }
@@ -39,6 +41,7 @@ impl Default for RefusedTips {
         Self {
             count: 0,
             newest: Outcome::Accepted,
+            is_over: false,
             contradiction_m: 0.0,
         }
     }

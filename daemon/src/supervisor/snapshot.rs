@@ -2,7 +2,7 @@
 
 use cdcr_controller::nmpc::RateWeight;
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{Mode, Reason, TipCause};
+use cdcr_shared_types::codes::{Mode, Outcome, Reason, TipCause};
 
 use crate::config::{Config, LinkKind, TipSensor, Validated, ns};
 use crate::convert;
@@ -39,7 +39,10 @@ pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
     status.tip_cause = cause.code();
     status.tips_refused = summary.refused_tips.count;
     status.tip_contradiction_m = summary.refused_tips.contradiction_m;
-    status.tip_refused_by = summary.refused_tips.newest.code();
+    status.tip_refused_by = match summary.refused_tips {
+        refused if refused.is_over => Outcome::Accepted.code(),
+        refused => refused.newest.code(),
+    };
     status.following_error_rad = summary.following.bend_rad;
     status.following_error_m = summary.following.cable_m;
     status.settings = summary.settings;

@@ -397,7 +397,7 @@ fn a_daemon_that_cannot_read_the_obstacles_before_it_begins_stopped() {
         let (stopped, _) = record_with(&daemon, 0);
         let expected = (Mode::Stopped.code(), Reason::ObstaclesLost.code());
         assert_eq!((stopped.mode, stopped.reason), expected);
-        let lost = "the obstacles of the previous daemon are lost";
+        let lost = "the obstacles of the previous daemon are lost: another version";
         assert_eq!(daemon.log().contains(lost), is_first, "{}", daemon.log());
         daemon.kill();
     }
