@@ -1,6 +1,6 @@
 //! Faults of drivers: a killed driver, and two at once.
 
-use cdcr_client::CommandRefusal;
+use cdcr_client::{CommandRefusal, Connection};
 use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{ask_for, refused, reset_here, wait_status, wait_until};
@@ -74,11 +74,51 @@ fn a_driver_that_lost_its_zero_is_not_believed_by_a_reset() {
         trail.catch_up();
         trail.until("it stays faulted", is(Mode::Faulted));
         place.says("cdcrctl reset --accept-pose", 0, &["accepted"]);
+        let accepted =
+            "the reset accepted a pose that differs from that of the last command: section 1 by ";
+        wait_until("the log names it", || daemon.log().contains(accepted));
         trail.until("holding", is(Mode::Holding));
         // A stop of a robot that rests where it is commanded needs no such word.
         trail.until("control begins", |record| record.control_begins == 0);
         ask_for(&connection, RequestKind::Stop);
         ask_for(&connection, RequestKind::Reset);
+        Some(())
+    });
+}
+
+/// The daemon is started again, too: the next one does not know where the last command led, and asks all the same.
+#[test]
+fn a_pose_in_doubt_is_in_doubt_for_the_next_daemon() {
+    behind_both(|interface| {
+        let mut daemon = daemon(interface);
+        let differs = |connection: &Connection| {
+            wait_status(connection, |status| {
+                status.reset_refused_by == Reason::PoseDiffers.code()
+            });
+        };
+        let connection = daemon.connect();
+        let mut trail = Trail::new(&connection);
+        let driver = DriverProcess::start_at(daemon.place(), 1.0);
+        trail.until("holding", is(Mode::Holding));
+        driver.signal(Signal::KILL);
+        drop(driver);
+        assert_lost(&mut trail, "driver killed", || {});
+        drop(trail);
+        let driver = DriverProcess::start_at(daemon.place(), 0.0);
+        differs(&connection);
+        drop((driver, connection));
+        daemon.kill();
+        daemon.restart();
+        let _driver = DriverProcess::start_at(daemon.place(), 0.0);
+        differs(&daemon.connect());
+        let elsewhere = "is measured far from where its last command left it";
+        daemon.place().says("cdcrctl reset", 1, &[elsewhere]);
+        daemon
+            .place()
+            .says("cdcrctl reset --accept-pose", 0, &["accepted"]);
+        let accepted =
+            "that differs from that of the last command, which is that of the daemon before";
+        wait_until("the log names it", || daemon.log().contains(accepted));
         Some(())
     });
 }
