@@ -291,9 +291,9 @@ impl AllArguments {
 
 impl CompareArguments {
     fn run(&self) -> Result<()> {
-        let comparison = Comparison::of(&Input::read(&self.before)?, &Input::read(&self.after)?);
+        let comparison = Comparison::new(&Input::read(&self.before)?, &Input::read(&self.after)?);
         show(&match self.format {
-            ComparisonFormat::Text => comparison.text()?,
+            ComparisonFormat::Text => comparison.text(),
             ComparisonFormat::Json => serde_json::to_string(&comparison)? + "\n",
         })?;
         let worse = comparison.count(ChangeClass::Worse);

@@ -79,7 +79,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     let budgets = list(&report["budget"], "cases");
     assert_budgets(budgets);
     let input = Input::read(&file).expect("a result");
-    let comparison = Comparison::of(&input, &input);
+    let comparison = Comparison::new(&input, &input);
     let changed = [ChangeClass::Worse, ChangeClass::Better].map(|class| comparison.count(class));
     assert!(!comparison.metrics.is_empty() && changed == [0, 0]);
     assert!(comparison.warnings.is_empty(), "{:?}", comparison.warnings);

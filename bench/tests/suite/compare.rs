@@ -82,6 +82,49 @@ fn a_change_for_the_worse_is_reported_and_fails_only_where_that_is_asked() {
 
 #[test]
 #[rustfmt::skip]
+fn the_class_of_a_change_follows_from_its_rounds() {
+    let (low, high): (&[f64], &[f64]) = (&[1.0, 2.0, 3.0], &[3.1, 4.0, 5.0]);
+    let cases: [(&str, &[f64], &[f64], &str); 14] = [
+        ("lower", low, high, "worse"),
+        ("lower", high, low, "better"),
+        ("higher", low, high, "better"),
+        ("higher", high, low, "worse"),
+        // Ranges that touch; then a change of 2 % with disjoint rounds.
+        ("lower", low, &[3.0, 4.0, 5.0], "within-noise"),
+        ("lower", &[100.0, 100.1, 100.2], &[101.9, 102.0, 102.05], "within-noise"),
+        // From zero, every change counts.
+        ("lower", &[0.0, 0.0, 0.0], &[4.0, 5.0, 6.0], "worse"),
+        ("lower", &[0.0, 0.0, 0.0], &[0.0, 0.0, 0.0], "within-noise"),
+        // Too few rounds; then single values, without an estimate of chance.
+        ("lower", &[1.0, 1.0], &[9.0, 9.0, 9.0], "too-few-rounds"),
+        ("lower", &[1.0], &[9.0, 9.0, 9.0], "too-few-rounds"),
+        ("lower", &[100.0], &[102.0], "one-value-alike"),
+        ("lower", &[100.0], &[103.0], "one-value-worse"),
+        ("lower", &[100.0], &[97.0], "one-value-better"),
+        ("lower", &[0.0], &[1e-9], "one-value-worse"),
+    ];
+    let folder = Scratch::temporary().expect("a folder");
+    let run = |file, is_after: bool| {
+        let metrics = cases.iter().enumerate().map(|(index, (better, before, after, _))| {
+            let rounds = if is_after { after } else { before };
+            json!({ "name": format!("{index}"), "unit": "µs", "better": better, "rounds": rounds })
+        });
+        write(folder.path(), file, &[("metrics", metrics.collect())], &[])
+    };
+    let found = compare("--format json", [&run("a.json", false), &run("b.json", true)]);
+    let document: Value = serde_json::from_slice(&found.stdout).expect("one object");
+    assert_eq!(list(&document, "metrics").len(), cases.len());
+    for change in list(&document, "metrics") {
+        let index: usize = change["name"].as_str().and_then(|name| name.parse().ok()).expect("an index");
+        assert_eq!(change["verdict"], cases[index].3, "{change}");
+    }
+    // The eight with three rounds in each run change by chance in 2 of 20 cases; the others do not count.
+    let by_chance = number(&document, "changed_by_chance");
+    assert!((by_chance - 0.8).abs() < 1e-12, "{by_chance}");
+}
+
+#[test]
+#[rustfmt::skip]
 fn what_one_run_alone_has_another_machine_and_other_options_are_reported() {
     let folder = Scratch::temporary().expect("a folder");
     let (one, two): (&[f64], &[f64]) = (&[1.0, 1.1, 1.2], &[2.0, 2.1, 2.2]);
