@@ -11,12 +11,15 @@ use super::system::System;
 
 const WATCHED: Duration = Duration::from_secs(1);
 
+type Cores = BTreeMap<usize, CoreTicks>;
+/// Description and count of each interrupt, by its label.
+type Interrupts = BTreeMap<String, (String, u64)>;
+
 #[derive(Debug, Clone, Default)]
-struct Snapshot {
-    cores: BTreeMap<usize, CoreTicks>,
+pub(super) struct Snapshot {
+    cores: Cores,
     threads: HashMap<u32, Thread>,
-    /// Description and count of each interrupt, by its label.
-    interrupts: BTreeMap<String, (String, u64)>,
+    interrupts: Interrupts,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -85,7 +88,7 @@ fn is_number(label: &str) -> bool {
 
 impl Snapshot {
     /// The present counters; interrupts on `core` only.
-    fn take(system: &System, core: usize) -> Assessed<Self> {
+    pub(super) fn take(system: &System, core: usize) -> Assessed<Self> {
         let cores = cores(&system.read("/proc/stat")?);
         if cores.is_empty() {
             return Err(unreadable("/proc/stat", "no line of a core"));
@@ -100,7 +103,7 @@ impl Snapshot {
 }
 
 /// The time of each core, from the text of `/proc/stat`.
-pub(super) fn cores(stat: &str) -> BTreeMap<usize, CoreTicks> {
+pub(super) fn cores(stat: &str) -> Cores {
     let each = core_ticks(stat).filter_map(|(core, ticks)| Some((core?, ticks)));
     each.collect()
 }
@@ -111,12 +114,13 @@ fn threads(system: &System) -> HashMap<u32, Thread> {
     for process in system.numbers("/proc") {
         let folder = format!("/proc/{process}/task");
         for id in system.numbers(&folder) {
-            let stat = system.read(&format!("{folder}/{id}/stat"));
-            let Some(mut thread) = thread_of(&stat.unwrap_or_default(), process, id) else {
+            let folder = format!("{folder}/{id}");
+            let stat = system.read(&format!("{folder}/stat")).unwrap_or_default();
+            let Some(mut thread) = thread_of(&stat, process, id) else {
                 continue;
             };
             if thread.is_realtime() {
-                thread.allowed = allowed_cores(system, &format!("{folder}/{id}"));
+                thread.allowed = allowed_cores(system, &folder);
             }
             threads.insert(id, thread);
         }
@@ -163,11 +167,11 @@ fn printable(name: &str) -> String {
 }
 
 /// Parses a header of the online cores, then lines `label: count for each core, description`.
-fn interrupts_of(text: &str, core: usize) -> BTreeMap<String, (String, u64)> {
+fn interrupts_of(text: &str, core: usize) -> Interrupts {
     let mut lines = text.lines();
     let head: Vec<&str> = lines.next().unwrap_or("").split_whitespace().collect();
     let Some(column) = head.iter().position(|name| *name == format!("CPU{core}")) else {
-        return BTreeMap::new();
+        return Interrupts::new();
     };
     let parsed = lines.filter_map(|line| {
         let (label, rest) = line.split_once(':')?;
@@ -196,7 +200,7 @@ impl Load {
 
     /// The difference of two snapshots taken `seconds` apart. The processes `ours` are excluded: this one,
     /// and a running daemon of this robot.
-    fn between(
+    pub(super) fn between(
         before: &Snapshot,
         after: Snapshot,
         core: usize,
@@ -233,8 +237,6 @@ impl Load {
     }
 }
 
-type Cores = BTreeMap<usize, CoreTicks>;
-
 /// The time of a core between two readings. Counters that run backwards (of a core that was off) count as
 /// zero.
 fn since(before: &Cores, after: &Cores, core: usize) -> CoreTicks {
@@ -264,99 +266,4 @@ pub(super) fn core_loads(before: &Cores, after: &Cores) -> BTreeMap<usize, CoreL
         (*core, load)
     });
     loads.collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::tests::Machine;
-    use super::*;
-
-    /// A `stat` line of a thread with the fields that matter here; `rt` is its priority and policy.
-    fn stat(id: u32, name: &str, ticks: u64, core: usize, rt: (u32, u32)) -> String {
-        // As proc(5) counts them; the first two are the id and the name.
-        let mut fields = [0; 53];
-        (fields[14], fields[39]) = (ticks, core as u64);
-        (fields[40], fields[41]) = (u64::from(rt.0), u64::from(rt.1));
-        let rest: Vec<_> = fields[4..].iter().map(ToString::to_string).collect();
-        format!("{id} ({name}) S {}", rest.join(" "))
-    }
-
-    fn snapshot(stat_text: &str, interrupts: &str, threads: &[(u32, String)]) -> Snapshot {
-        let machine = Machine::new(&[("/proc/stat", stat_text), ("/proc/interrupts", interrupts)]);
-        for (id, text) in threads {
-            machine.write(&format!("/proc/{id}/task/{id}/stat"), text);
-            let status = "Name:\tx\nCpus_allowed_list:\t1\n";
-            machine.write(&format!("/proc/{id}/task/{id}/status"), status);
-        }
-        Snapshot::take(&machine.scene.system, 1).unwrap()
-    }
-
-    #[test]
-    fn the_difference_shows_who_was_there() {
-        let before = snapshot(
-            "cpu 9 9 9 9\ncpu0 0 0 0 100 0 0 0 0 0 0\ncpu1 10 0 0 90 0 0 0 0 0 0\nintr 5\n",
-            "      CPU0 CPU1\n 24: 7 5 IO-APIC 5-edge eth0\nLOC: 0 10 Local timer interrupts\nERR: 0\n",
-            &[
-                (50, stat(50, "a) (b", 10, 1, (0, 0))),
-                (51, stat(51, "elsewhere", 10, 0, (0, 0))),
-                (53, stat(53, "ours", 10, 1, (80, 1))),
-            ],
-        );
-        let after = snapshot(
-            "cpu 9 9 9 9\ncpu0 50 0 0 150 0 0 0 0 0 0\ncpu1 40 0 0 140 0 0 0 20 0 0\n",
-            "      CPU0 CPU1\n 24: 7 305 IO-APIC 5-edge eth0\nLOC: 0 260 Local timer interrupts\nERR: 0\n",
-            &[
-                (50, stat(50, "a) (b", 30, 1, (0, 0))),
-                (51, stat(51, "elsewhere", 40, 0, (0, 0))),
-                (52, stat(52, "fresh", 5, 1, (99, 1))),
-                (53, stat(53, "ours", 90, 1, (80, 1))),
-            ],
-        );
-        let load = Load::between(&before, after, 1, 1.0, &[53]);
-        let core = load.cores[&1];
-        assert!((core.busy - 0.3).abs() < 1e-9 && (core.steal - 0.2).abs() < 1e-9);
-        assert!((core.steal_since_start - 0.1).abs() < 1e-9);
-        assert_eq!(load.cores.len(), 2);
-        let percent = |thread: &Thread| (100.0 * thread.share).round();
-        let seen = load.threads.iter().map(|t| (&*t.name, t.core, percent(t)));
-        let others = [("a) (b", 1, 20.0), ("fresh", 1, 5.0)];
-        let expected = [&[("elsewhere", 0, 30.0)], &others[..]].concat();
-        assert_eq!(seen.collect::<Vec<_>>(), expected);
-        let mut realtime = load.threads.iter().filter(|thread| thread.is_realtime());
-        let (first, next) = (realtime.next().unwrap(), realtime.next());
-        assert!(next.is_none() && first.allowed.contains(1) && first.priority == 99);
-        let [device, timer] = &load.interrupts[..] else {
-            panic!("{:?}", load.interrupts)
-        };
-        assert_eq!((&*device.label, &*device.description), ("24", "eth0"));
-        assert_eq!(device.rate_hz, 300.0);
-        assert!(device.is_device() && !timer.is_device());
-        assert_eq!(timer.description, "Local timer interrupts");
-    }
-
-    #[test]
-    fn odd_content_is_left_out() {
-        let nothing = snapshot(
-            "cpu1 0 0 0 0 0 0 0 0\ncpu2 x y\n",
-            "\u{1b}",
-            &[
-                (1, String::new()),
-                (2, ")(".to_owned()),
-                (3, "3 (x) S".to_owned()),
-                (4, stat(4, "\u{1b}[31m\nred", 1, 1, (0, 0))),
-            ],
-        );
-        let names: Vec<_> = nothing.threads.values().map(|t| &*t.name).collect();
-        assert_eq!(names, ["?[31m?red"]);
-        let load = Load::between(&nothing.clone(), nothing, 1, 0.0, &[]);
-        assert_eq!(load.cores[&1], CoreLoad::default());
-        assert!(load.threads[0].share == 0.0 && load.interrupts.is_empty());
-        let machine = Machine::new(&[("/proc/stat", "intr 5")]);
-        assert!(Snapshot::take(&machine.scene.system, 1).is_err());
-        // Counters that run backwards (a core that was off) are no load.
-        let high = snapshot("cpu1 5 0 0 5 0 0 0 0\n", "CPU1\n 1: 9 x\n", &[]);
-        let low = snapshot("cpu1 1 0 0 1 0 0 0 0\n", "CPU1\n 1: 2 x\n", &[]);
-        let load = Load::between(&high, low, 1, 1.0, &[]);
-        assert!(load.cores[&1].busy == 0.0 && load.interrupts.is_empty());
-    }
 }

@@ -10,6 +10,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, from_value, to_value};
 
 use super::core_choice::choose;
+use super::sample::Snapshot;
 use super::*;
 use crate::config::Config;
 
@@ -18,6 +19,7 @@ pub(super) struct Machine {
     folder: Scratch,
     /// All trials succeed, core 1 is idle, real time is preferred.
     pub(super) scene: Scene,
+    before: Snapshot,
 }
 
 impl Machine {
@@ -47,7 +49,11 @@ impl Machine {
             probe,
             load: Ok(Load::default()),
         };
-        let machine = Self { folder, scene };
+        let machine = Self {
+            folder,
+            scene,
+            before: Snapshot::default(),
+        };
         for (path, text) in files {
             machine.write(path, text);
         }
@@ -81,6 +87,8 @@ impl Machine {
             }
             Some(value) => self.set(name, serde_json::from_str(value).unwrap()),
             None if name == "choice" => self.expect_choice(rest),
+            None if name == "count" => self.before = Snapshot::take(&self.scene.system, 1).unwrap(),
+            None if name == "watch" => self.watch(rest.parse().unwrap()),
             None => self.expect(name, rest),
         }
     }
@@ -93,6 +101,13 @@ impl Machine {
             ("load", field) => set(scene.load.as_mut().unwrap(), field, value),
             _ => set(&mut scene.validated.config, name, value),
         }
+    }
+
+    /// Sets the load to the difference between the counters now and before.
+    fn watch(&mut self, seconds: f64) {
+        let after = Snapshot::take(&self.scene.system, 1);
+        let load = after.map(|after| Load::between(&self.before, after, 1, seconds, &[53]));
+        self.scene.load = load;
     }
 
     fn expect_choice(&self, words: &str) {
