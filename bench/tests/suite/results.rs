@@ -9,7 +9,7 @@ use cdcr_bench::rate;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::list;
+use crate::{list, number};
 
 /// Markers at the begin and the end of a table in the document.
 const BEGIN: &str = "<!-- generated from ";
@@ -122,6 +122,30 @@ fn documents_hold_what_is_made_from_the_json_beside_them() {
         } else {
             assert!(made == text, "docs/{name} is not up to date: {HOW}");
         }
+    }
+}
+
+/// The table of rates is typed: it has columns that no committed row has. The others are those of the rows.
+#[test]
+fn the_typed_table_of_rates_has_the_numbers_of_its_picture() {
+    let report = result("results/report.json");
+    let text = std::fs::read_to_string(docs().join("results.md")).expect("the document");
+    for row in list(&report["rate"], "default") {
+        let hz = number(row, "rate_hz");
+        let rate = [format!("{hz} Hz"), format!("{} kHz", hz / 1e3)];
+        let begin = format!("| {} | ", rate[usize::from(hz >= 1e3)]);
+        let line = text.lines().find(|line| line.starts_with(&begin));
+        let cells: Vec<&str> = line.expect("a line").split(" | ").collect();
+        let digits = ["p50", "p99", "p999"].into_iter().zip([1, 1, 0]);
+        let times = digits.map(|(part, digits)| {
+            format!("{:.digits$}", number(row, &format!("response_us_{part}")))
+        });
+        let shares = ["core_share", "budget_hit_share"].map(|key| {
+            let percent = format!("{:.1}", 100.0 * number(row, key));
+            format!("{} %", percent.trim_end_matches(".0"))
+        });
+        let expected: Vec<String> = times.chain(shares).collect();
+        assert_eq!(cells[3..8], expected, "{begin}");
     }
 }
 
