@@ -326,7 +326,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_manual_is_what_the_command_line_says() {
+    fn the_manual_matches_the_command_line() {
         cdcr_packaging::check(&Cli::command(), "1", None).expect("up to date");
     }
 }

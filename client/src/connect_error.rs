@@ -316,7 +316,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_names_no_root_folder_is_told_of_the_service() {
+    fn without_a_root_folder_the_error_names_the_service() {
         let location = Location::new("cdcr_unit_", Path::new("/dev/shm/none")).expect("legal");
         let place = Place::new(&location, "trunk");
         let text = |as_service| {

@@ -305,7 +305,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_update_says_what_is_new() {
+    fn an_update_lists_what_is_new() {
         let robot = RobotDescription {
             sections: 1,
             ..RobotDescription::default()

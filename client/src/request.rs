@@ -316,7 +316,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_refusal_says_what_why_and_what_to_do() {
+    fn a_refusal_has_request_reason_and_remedy() {
         let response = Response {
             outcome: Outcome::LeaseHeld.code(),
             mode: Mode::Tracking.code(),

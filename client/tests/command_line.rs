@@ -46,7 +46,7 @@ fn stderr(output: &Output) -> String {
 }
 
 #[test]
-fn without_a_daemon_every_command_says_where_it_looked_and_how_to_start_one() {
+fn without_a_daemon_every_command_reports_where_it_searched_and_how_to_start_one() {
     let folder = Scratch::temporary().expect("a folder");
     let root = folder.path().join("none");
     for arguments in [
@@ -117,7 +117,7 @@ fn wrong_usage_is_exit_code_2() {
 }
 
 #[test]
-fn illegal_names_are_told_with_what_is_legal() {
+fn invalid_names_are_rejected_with_the_rule() {
     let output = cdcrctl(Path::new("/tmp"), &["status", "--robot", "a/b"]);
     assert!(stderr(&output).contains("1 to 40 letters"));
     let output = cdcrctl(Path::new("/tmp"), &["status", "--prefix", "a b"]);
@@ -127,7 +127,7 @@ fn illegal_names_are_told_with_what_is_legal() {
 }
 
 #[test]
-fn a_bad_file_is_told_with_its_line_even_without_a_daemon() {
+fn an_invalid_file_is_reported_with_its_line_even_without_a_daemon() {
     let folder = Scratch::temporary().expect("a folder");
     let file = folder.path().join("bad.csv");
     fs::write(&file, "t_s,x_m,y_m,z_m\n0,0,0,0.3\n0.1,0,NaN,0.3\n").expect("written");
@@ -141,7 +141,7 @@ fn a_bad_file_is_told_with_its_line_even_without_a_daemon() {
 }
 
 #[test]
-fn the_demo_says_when_its_daemon_is_not_built() {
+fn the_demo_reports_a_daemon_that_is_not_built() {
     let folder = Scratch::temporary().expect("a folder");
     let alone = copied_into(&folder);
     let output = run_fresh(Command::new(&alone).args(["demo", "--duration", "1s"]));
@@ -152,7 +152,7 @@ fn the_demo_says_when_its_daemon_is_not_built() {
 }
 
 #[test]
-fn a_demo_says_what_to_do_about_its_folder_and_no_folder_is_too_deep() {
+fn a_demo_names_the_remedy_for_its_folder_and_no_folder_is_too_deep() {
     let folder = Scratch::temporary().expect("a folder");
     let deep = folder.path().join("d".repeat(100));
     fs::create_dir(&deep).expect("made");

@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_of_the_main_thread_ends_with_70_and_is_not_said_twice() {
+    fn a_panic_of_the_main_thread_ends_with_70_and_is_logged_once() {
         assert_eq!(end_of(|| panic!("a test of panics")), (code(70), vec![]));
     }
 

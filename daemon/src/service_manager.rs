@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn ready_and_stopping_are_said_once() {
+    fn ready_and_stopping_are_sent_once() {
         let manager = Manager::start();
         let mut service = manager.configured_by(None);
         for _ in 0..3 {
@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_mode_is_told_at_once_and_new_numbers_once_a_second() {
+    fn a_new_mode_is_sent_at_once_and_new_numbers_once_a_second() {
         let manager = Manager::start();
         let mut service = manager.configured_by(None);
         let begin = Instant::now();
@@ -470,7 +470,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_is_told_nothing_and_nothing_fails() {
+    fn without_a_service_manager_nothing_is_sent_and_nothing_fails() {
         let mut nobody = ServiceManager::none();
         nobody.ready();
         nobody.send_status(&line(Mode::Holding, 0));

@@ -191,7 +191,7 @@ def test_a_robot_comes_from_a_configuration(tmp_path: Path) -> None:
         cdcr.Robot.from_toml(tmp_path / "none.toml")
 
 
-def test_a_solve_gives_rates_that_reach_the_window_and_says_how() -> None:
+def test_a_solve_gives_rates_that_reach_the_window_and_a_status() -> None:
     robot = cdcr.Robot()
     nmpc = cdcr.Nmpc(robot, {"solver": "gauss-newton", "horizon_steps": 3}, period_s=0.01)
     bend = np.full(6, 0.3)

@@ -230,7 +230,7 @@ def test_a_stream_whose_chunks_are_accepted_does_not_renew_its_lease_by_requests
         assert any(renewals() < 6 for _ in range(3))
 
 
-def test_closing_twice_is_nothing_and_what_is_closed_says_so(daemon: Daemon) -> None:
+def test_closing_twice_has_no_effect_and_use_after_it_is_refused(daemon: Daemon) -> None:
     connection = daemon.connect()
     connection.close()
     connection.close()

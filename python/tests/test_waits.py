@@ -58,7 +58,7 @@ def test_a_time_that_none_can_wait_for_is_refused_everywhere(daemon: Daemon) -> 
                 stream.send(time_s, [0, 0, 0.9])
 
 
-def test_what_has_not_begun_says_to_use_with_and_what_has_ended_keeps_its_outcome(daemon: Daemon) -> None:
+def test_what_has_not_begun_asks_for_with_and_what_has_ended_keeps_its_outcome(daemon: Daemon) -> None:
     with daemon.connect() as connection:
         t, xyz = curve(connection.robot(), 0.3)
         feed, stream = connection.feed(t, xyz), connection.stream()

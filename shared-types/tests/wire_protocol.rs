@@ -159,7 +159,7 @@ fn the_page_is_what_is_declared() {
 
 /// What the page says in its own words names each service, and says nothing of one that there is not.
 #[test]
-fn every_service_is_told_in_words() {
+fn every_service_is_described() {
     let page = std::fs::read_to_string(PAGE).unwrap();
     let (_, rest) = page.split_once("## Who sends what, and when").unwrap();
     let (table, _) = rest.split_once("\n## ").unwrap();

@@ -107,14 +107,14 @@ impl Place {
         Program::start(command.args(words).current_dir(self.folder()))
     }
 
-    /// Runs the same to its end. Returns its output, checked by [`assert_says`].
-    pub fn says(&self, line: &str, status: i32, parts: &[&str]) -> String {
-        assert_says(&self.start(line).output(), status, parts)
+    /// Runs the same to its end. Returns its output, checked by [`assert_output`].
+    pub fn checked(&self, line: &str, status: i32, parts: &[&str]) -> String {
+        assert_output(&self.start(line).output(), status, parts)
     }
 
     /// The same for `cdcrctl`, which prints one JSON value.
     pub fn json(&self, line: &str) -> Value {
-        let printed = self.says(&format!("cdcrctl {line} --format json"), 0, &[]);
+        let printed = self.checked(&format!("cdcrctl {line} --format json"), 0, &[]);
         serde_json::from_str(&printed).unwrap_or_else(|error| panic!("{error}: {printed}"))
     }
 
@@ -153,7 +153,7 @@ pub fn text(output: &Output) -> String {
 
 /// Fails unless a program ended with `status` and its output contains all of `parts`: on standard output for
 /// a success, otherwise on standard error. Returns that output.
-pub fn assert_says(output: &Output, status: i32, parts: &[&str]) -> String {
+pub fn assert_output(output: &Output, status: i32, parts: &[&str]) -> String {
     let printed = text(output);
     assert_eq!(output.status.code(), Some(status), "{printed}");
     let stream = if status == 0 {
@@ -331,16 +331,20 @@ impl Daemon {
 /// Without an explicit mode, a configuration with a driver also runs on machines without real time.
 fn command_of(place: &Place, configuration: &str, preset: Preset, log: &Path) -> Command {
     let path = place.write("robot.toml", configuration);
-    let says = |key: &str| configuration.contains(&format!("\n{key} = "));
+    let is_set = |key: &str| configuration.contains(&format!("\n{key} = "));
     let log = std::fs::File::create(log).expect("the folder is writable");
     let mut command = place.command("cdcrd");
     command
         .args(["run", "--config"])
         .arg(path)
-        .envs((!says("mode")).then_some(("CDCR_REALTIME_MODE", "prefer")))
+        .envs((!is_set("mode")).then_some(("CDCR_REALTIME_MODE", "prefer")))
         .env(
             SIMULATED,
-            if says("simulated") { "" } else { preset.name() },
+            if is_set("simulated") {
+                ""
+            } else {
+                preset.name()
+            },
         )
         .stdout(Stdio::null())
         .stderr(log);

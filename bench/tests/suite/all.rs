@@ -39,7 +39,7 @@ fn names(folder: &Path) -> BTreeSet<String> {
 }
 
 #[test]
-fn a_quick_result_says_that_it_proves_nothing() {
+fn a_quick_result_is_marked_as_no_measurement() {
     for format in ["text", "markdown"] {
         let text = printed(&mut program(&format!("budget --quick --format {format}")));
         assert!(text.contains(cdcr_bench::report::QUICK), "{text}");

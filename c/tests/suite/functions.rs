@@ -117,7 +117,7 @@ fn every_function_with_a_code_catches_panics() {
 
 // A comment is right above each function.
 #[test]
-fn every_function_is_told_in_words() {
+fn every_function_is_described() {
     let text = header("cdcr.h");
     for prototype in exported() {
         let (begin, _) = prototype.split_once('(').unwrap();

@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_starts_where_the_paper_says() {
+    fn it_starts_where_the_paper_does() {
         for sections in 1..=3 {
             let [x, y, z] = Spiral::for_sections(&vec![0.3; sections]).position_m(0.0);
             let base_mm = 300.0 * (sections - 1) as f64;

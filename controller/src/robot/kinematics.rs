@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quarter_circle_and_a_full_circle_are_where_geometry_says() {
+    fn a_quarter_circle_and_a_full_circle_agree_with_geometry() {
         let robot = robot(1);
         let radius_m = 0.3 / core::f64::consts::FRAC_PI_2;
         let quarter = Configuration::from_bend_angles(&[[core::f64::consts::FRAC_PI_2, 0.0]]);

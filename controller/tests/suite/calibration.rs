@@ -262,7 +262,7 @@ fn a_section_that_does_not_move_is_named() {
 }
 
 #[test]
-fn rows_that_tell_nothing_are_refused() {
+fn rows_without_information_are_refused() {
     let mut trial = Trial::recorded(5, 1, 26.0);
     let few = calibrate(&trial.configured, &trial.rows[..99], &[]);
     assert_eq!(few, Err(CalibrationError::TooFewRows { rows: 99 }));

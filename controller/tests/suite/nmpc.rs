@@ -142,7 +142,7 @@ fn a_jump_and_an_unreachable_reference_are_approached_at_full_rate() {
 }
 
 #[test]
-fn without_a_finite_problem_the_rates_are_zero_and_the_status_says_so() {
+fn without_a_finite_problem_the_rates_are_zero_and_the_status_reports_it() {
     let robot = paper(1);
     for kind in SOLVERS {
         let mut nmpc = solver(&robot, kind, 2);

@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_told_is_not_zero() {
+    fn what_was_not_measured_is_not_zero() {
         let summary = summary(
             vec![cycle(1, 10, CauseAssignment::InTime, None)],
             realtime::FIFO | realtime::LOCKED,

@@ -476,7 +476,7 @@ fn a_command_that_has_run_out_leaves_only_if_it_is_rest() {
 }
 
 #[test]
-fn a_machine_that_slept_is_told_to_the_cycle_once() {
+fn a_suspended_machine_is_reported_to_the_cycle_once() {
     let mut rig = Rig::new("");
     rig.clock.slept_ns.set(3_600_000 * MS);
     assert_eq!((rig.gather().suspends, rig.gather().suspends), (0, 0));

@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_that_locks_the_folder_alone_is_told_of() {
+    fn a_process_that_locks_the_folder_alone_is_reported() {
         let folder = Scratch::in_memory().expect("a folder");
         let root = closed_in(&folder);
         prepare(&root).expect("it is closed to others");

@@ -112,7 +112,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_files_are_read_as_proc_says() {
+    fn the_files_are_read_as_in_proc() {
         assert_eq!(schedstat(b"540966 7 3\n"), Some([540_966, 7, 3]));
         assert_eq!(schedstat(b"540966 7"), None);
     }

@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_daemon_takes_what_it_says_and_takes_it_for_good() {
+    fn a_daemon_takes_the_memory_it_computes_and_keeps_it() {
         let folder = Scratch::in_memory().unwrap();
         let location = Location::new("cdcrtest_room_", &folder.path().join("root")).unwrap();
         std::fs::create_dir(location.root()).unwrap();

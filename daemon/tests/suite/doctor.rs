@@ -33,7 +33,7 @@ fn json(output: &Output) -> Value {
     serde_json::from_str(&text).unwrap_or_else(|cause| panic!("{cause}: {text}{error}"))
 }
 
-fn verdicts(report: &Value) -> BTreeMap<String, String> {
+fn severities(report: &Value) -> BTreeMap<String, String> {
     let text = |finding: &Value, field: &str| finding[field].as_str().unwrap().to_owned();
     let findings = report["findings"].as_array().unwrap().iter();
     findings
@@ -51,16 +51,16 @@ fn the_report_has_every_check_and_its_worst_is_the_exit_status() {
     let folder = Scratch::in_memory().unwrap();
     let output = doctor(folder.path(), "mode = \"prefer\"", &["--format", "json"]);
     let report = json(&output);
-    let verdicts = verdicts(&report);
+    let severities = severities(&report);
     let keys: BTreeSet<&str> = KEYS.split(' ').collect();
-    assert!(verdicts.keys().eq(keys), "{verdicts:?}");
+    assert!(severities.keys().eq(keys), "{severities:?}");
     for finding in report["findings"].as_array().unwrap() {
         for field in ["title", "value", "why", "remedy"] {
             let text = finding[field].as_str().unwrap();
             assert!(!text.is_empty(), "{field}: {finding}");
         }
     }
-    let worst = verdicts.values().map(|verdict| badness(verdict)).max();
+    let worst = severities.values().map(|verdict| badness(verdict)).max();
     let shown = report["worst"].as_str().unwrap();
     assert_eq!(Some(badness(shown)), worst);
     let status = [0, 10, 10, 20][badness(shown)];
@@ -76,7 +76,7 @@ fn what_is_missing_is_as_bad_as_it_was_asked_for() {
         let realtime = format!("mode = \"{mode}\"\ncore = 1023");
         let output = doctor(folder.path(), &realtime, &["--format", "json"]);
         (
-            verdicts(&json(&output))["pin"].clone(),
+            severities(&json(&output))["pin"].clone(),
             output.status.code(),
         )
     };

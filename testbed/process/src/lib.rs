@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_program_says_is_kept() {
+    fn the_output_of_a_program_is_kept() {
         assert_eq!(
             shell("echo one; echo two >&2")
                 .wait(TIMEOUT, || Ok(()))

@@ -96,7 +96,7 @@ mod tests {
                         run_delay_ns,page_faults,cause\n";
 
     #[test]
-    fn the_columns_are_told_from_their_release() {
+    fn times_are_counted_from_their_release() {
         let rows = "3,200,310,350,1,1,0,70,2,2\n4,400,410,415,0,0,0,,,0\n";
         let first = Cycle {
             due_ns: 200,

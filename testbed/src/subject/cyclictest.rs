@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn the_real_one_tells_of_every_cycle() {
+    fn the_real_one_reports_every_cycle() {
         let Some(cyclictest) = usable() else {
             return;
         };

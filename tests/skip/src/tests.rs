@@ -28,7 +28,7 @@ fn text(output: &Output) -> String {
 
 /// One test for everything, because its children are one run.
 #[test]
-fn a_skipped_test_passes_and_is_told_and_fails_where_its_need_is_required() {
+fn a_skipped_test_passes_and_is_listed_and_fails_where_its_need_is_required() {
     let run = Run::started_by(std::process::id());
     assert_eq!(run.take().expect("a folder to write to"), [""; 0]);
     for _ in 0..2 {

@@ -435,7 +435,7 @@ mod tests {
     }
 
     #[test]
-    fn the_manual_is_what_the_command_line_says() {
+    fn the_manual_matches_the_command_line() {
         cdcr_packaging::check(
             &Arguments::command(),
             "1",

@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_with_what_is_right() {
+    fn an_invalid_setting_is_rejected_with_the_allowed_values() {
         for (text, part) in [
             ("horizon_steps", "KEY=VALUE"),
             ("horizon_step=3", "did you mean horizon_steps?"),

@@ -38,7 +38,7 @@ fn corners_edges_and_regions_without_a_point() {
 }
 
 #[test]
-fn a_full_region_says_that_it_left_one_out() {
+fn a_full_region_reports_that_it_left_one_out() {
     let mut region = boxed(2, f64::INFINITY);
     for turn in 0..ROWS_MAX {
         let (sin, cos) = (turn as f64).sin_cos();

@@ -149,7 +149,7 @@ fn an_error_quotes_no_more_than_a_line_however_long_the_value_is() {
 }
 
 #[test]
-fn a_decimal_comma_is_told_what_to_write() {
+fn a_decimal_comma_is_reported_with_the_correct_form() {
     let reported = "numbers have a decimal point: 0.25, not 0,25";
     let [plain, long] = ["", " # é"].map(|end| {
         let comment = end.repeat(100);

@@ -63,7 +63,7 @@ fn a_rehearsal_changes_no_bit_of_a_record() {
 
 /// The reporter writes all telemetry into one reused message.
 #[test]
-fn a_message_that_held_another_cycle_tells_nothing_of_it() {
+fn a_message_that_held_another_cycle_keeps_nothing_of_it() {
     let (records, _) = records(Interface::Position, false);
     let robot = Config::parse("", Path::new("telemetry")).unwrap().robot;
     let mut used = Box::<cdcr_shared_types::Telemetry>::default();

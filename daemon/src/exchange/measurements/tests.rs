@@ -123,7 +123,7 @@ fn first_bends_beyond_a_full_turn_are_refused() {
 }
 
 #[test]
-fn the_tip_counts_alone_until_something_tells_the_bends() {
+fn the_tip_counts_alone_until_the_bends_are_measured() {
     let mut rig = Rig::new("");
     rig.accept(1, TIP);
     rig.now_ns += BENDS_LATE_NS;

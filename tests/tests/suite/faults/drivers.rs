@@ -60,20 +60,20 @@ fn a_driver_that_lost_its_zero_is_not_believed_by_a_reset() {
         });
         let elsewhere = "is measured far from where its last command left it";
         let remedy = "have lost their zero: bring it to straight and set the zero (docs/drivers.md, Zero). Then accept the measured pose: cdcrctl reset --accept-pose.";
-        place.says(
+        place.checked(
             "cdcrctl status",
             0,
             &["is refused now: the robot ", elsewhere, remedy],
         );
-        place.says("cdcrctl reset", 1, &[elsewhere, "section 1 by ", remedy]);
-        place.says("cdcrctl reset --wait", 1, &[elsewhere, "section 1 by "]);
+        place.checked("cdcrctl reset", 1, &[elsewhere, "section 1 by ", remedy]);
+        place.checked("cdcrctl reset --wait", 1, &[elsewhere, "section 1 by "]);
         assert_eq!(
             refused(&connection, RequestKind::Reset),
             Outcome::PoseDiffers
         );
         trail.catch_up();
         trail.until("it stays faulted", is(Mode::Faulted));
-        place.says("cdcrctl reset --accept-pose", 0, &["accepted"]);
+        place.checked("cdcrctl reset --accept-pose", 0, &["accepted"]);
         let accepted =
             "the reset accepted a pose that differs from that of the last command: section 1 by ";
         wait_until("the log names it", || daemon.log().contains(accepted));

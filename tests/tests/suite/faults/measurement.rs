@@ -379,7 +379,7 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
         wait_until("the log names it", || daemon.log().contains(place));
         daemon
             .place()
-            .says("cdcrctl status", 0, &[place, "\nremedy "]);
+            .checked("cdcrctl status", 0, &[place, "\nremedy "]);
         // A robot at rest beyond its limit is not driven back, neither by itself nor by a stop.
         for kind in [None, Some(RequestKind::Stop)] {
             if let Some(kind) = kind {

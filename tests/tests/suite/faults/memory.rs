@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENT, Place, TIMEOUT, assert_says, binary, text, wait_status};
+use cdcr_tests::{Daemon, PATIENT, Place, TIMEOUT, assert_output, binary, text, wait_status};
 
 use crate::own_mounts::{Filled, has_own_mounts, mount_memory, name_of};
 
@@ -37,7 +37,7 @@ fn a_daemon_that_has_no_room_is_refused_with_what_it_needs() {
             "cdcrd doctor",
         ];
         let place = Place::new();
-        place.says("cdcrd run", 71, &parts);
+        place.checked("cdcrd run", 71, &parts);
         let files = || place.memory_files();
         assert_eq!(files(), Vec::<PathBuf>::new(), "nothing stays behind");
     }
@@ -104,9 +104,9 @@ fn doctor(place: &Place) -> String {
 }
 
 #[test]
-fn too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through() {
+fn too_few_inodes_are_reported_at_the_start_and_to_clients_and_a_stop_gets_through() {
     if !has_own_mounts(&name_of(
-        &too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through,
+        &too_few_inodes_are_reported_at_the_start_and_to_clients_and_a_stop_gets_through,
     )) {
         return;
     }
@@ -115,7 +115,7 @@ fn too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through()
             return;
         }
         let place = Place::new();
-        place.says("cdcrd run", 71, &["nr_inodes="]);
+        place.checked("cdcrd run", 71, &["nr_inodes="]);
         assert!(doctor(&place).contains("nr_inodes="));
     }
     if !mount_memory("size=64000k,nr_inodes=400") {
@@ -149,11 +149,11 @@ fn too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through()
 }
 
 #[test]
-fn too_few_files_that_a_process_may_open_are_told_and_a_stop_gets_through() {
+fn too_few_files_that_a_process_may_open_are_reported_and_a_stop_gets_through() {
     let mut daemon = Daemon::start(PATIENT);
     for files in [12, 20, 30] {
         let started = limited(&Place::new(), files, "cdcrd", "run");
-        assert_says(&started, 71, &["ulimit -n"]);
+        assert_output(&started, 71, &["ulimit -n"]);
     }
     // Each client fails at another step of its connection.
     for files in [7, 9, 11, 13, 15, 17, 20, 24, 28, 64] {

@@ -21,7 +21,7 @@ const SAFE_DISTANCE_M: f64 = 0.01;
 const BODY_RADIUS_M: f64 = 0.015;
 
 /// Sends obstacles, and returns the record with their event, and the event.
-fn tell(trail: &mut Trail, sender: &ObstacleSender, balls: &[Obstacle]) -> (Telemetry, InputEvent) {
+fn send(trail: &mut Trail, sender: &ObstacleSender, balls: &[Obstacle]) -> (Telemetry, InputEvent) {
     trail.until_answered(
         || sender.upsert(balls).unwrap(),
         |header, record| event_about(record, EventKind::Obstacles, header),
@@ -29,7 +29,7 @@ fn tell(trail: &mut Trail, sender: &ObstacleSender, balls: &[Obstacle]) -> (Tele
 }
 
 /// Sends an obstacle to the side, again if a stall let its lifetime pass on the way.
-fn tell_alive(
+fn send_alive(
     trail: &mut Trail,
     sender: &ObstacleSender,
     lifetime_ns: u64,
@@ -39,7 +39,7 @@ fn tell_alive(
             lifetime_ns,
             ..ball(1, [0.5, 0.5, 0.3])
         };
-        let (first, answer) = tell(trail, sender, &[seen]);
+        let (first, answer) = send(trail, sender, &[seen]);
         if answer.outcome != Outcome::InThePast.code() {
             assert_eq!(answer.outcome, Outcome::Accepted.code());
             return (seen, first, answer);
@@ -76,7 +76,7 @@ fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() 
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();
     let ahead_m = homing(&connection, &mut trail);
-    let (first, answer) = tell(&mut trail, &sender, &[ball(1, ahead_m)]);
+    let (first, answer) = send(&mut trail, &sender, &[ball(1, ahead_m)]);
     assert_eq!(
         (answer.outcome, first.obstacle_count),
         (Outcome::Accepted.code(), 1)
@@ -111,7 +111,7 @@ fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
     let sender = connection.obstacle_sender().unwrap();
     trail.until("holding", is(Mode::Holding));
     // At the position of the body.
-    let (first, answer) = tell(&mut trail, &sender, &[ball(1, [0.0, 0.0, 0.5])]);
+    let (first, answer) = send(&mut trail, &sender, &[ball(1, [0.0, 0.0, 0.5])]);
     assert_eq!(answer.outcome, Outcome::Accepted.code());
     assert!(first.clearance_m < 0.0 && first.mode == Mode::Holding.code());
     let (_, now) = trail.until("the next record", |_| true);
@@ -143,13 +143,13 @@ fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();
     let all: Vec<_> = (0..64).map(|id| ball(id, [0.3, 0.0, 0.3])).collect();
-    let (_, answer) = tell(&mut trail, &sender, &all);
+    let (_, answer) = send(&mut trail, &sender, &all);
     assert_eq!(
         (answer.outcome, answer.detail),
         (Outcome::Accepted.code(), 64)
     );
     let nearer = ball(1, [0.1, 0.0, 0.3]);
-    let (record, answer) = tell(&mut trail, &sender, &[nearer, ball(64, [0.3, 0.0, 0.3])]);
+    let (record, answer) = send(&mut trail, &sender, &[nearer, ball(64, [0.3, 0.0, 0.3])]);
     assert_eq!(
         (answer.outcome, answer.detail),
         (Outcome::BufferFull.code(), 1)
@@ -201,7 +201,7 @@ fn floods_of_obstacles_keep_nobody_out_and_give_a_gather_no_more_work() {
         let sender = connection.obstacle_sender().unwrap();
         let mut evaluated = BTreeMap::new();
         for _ in 0..20 {
-            let (_, answer) = tell(&mut trail, &sender, &[ball(63, [0.3, 0.0, 0.3])]);
+            let (_, answer) = send(&mut trail, &sender, &[ball(63, [0.3, 0.0, 0.3])]);
             assert_eq!(answer.outcome, Outcome::Accepted.code());
             for _ in 0..20 {
                 let (_, record) = trail.until("the next record", |_| true);
@@ -228,7 +228,7 @@ fn lose_source(rule: &str) {
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();
     homing(&connection, &mut trail);
-    let (seen, first, answer) = tell_alive(&mut trail, &sender, 30_000_000);
+    let (seen, first, answer) = send_alive(&mut trail, &sender, 30_000_000);
     // Silence for longer than lifetime and timeout together.
     let mut held = None;
     let (_, last) = trail.until("silence", |record| {
@@ -266,7 +266,7 @@ fn lose_source(rule: &str) {
         lifetime_ns: 300_000_000,
         ..seen
     };
-    tell(&mut trail, &sender, &[seen]);
+    send(&mut trail, &sender, &[seen]);
     let live = || {
         sender.upsert(&[]).unwrap();
     };
@@ -298,7 +298,7 @@ fn behind_a_driver_a_source_that_died_holds_the_robot_without_any_setting() {
     robot.until_held(&mut trail);
     ask_for(&connection, RequestKind::Home);
     trail.until_while("homing", || robot.turn(), is(Mode::Homing));
-    let (seen, first, _) = tell_alive(&mut trail, &sender, 300_000_000);
+    let (seen, first, _) = send_alive(&mut trail, &sender, 300_000_000);
     assert_eq!(first.obstacle_count, 1);
     let (_, held) = trail.until_while(
         "holding",
@@ -332,11 +332,11 @@ fn obstacles_without_a_lifetime_outlive_the_daemon_until_they_are_removed() {
     let mut daemon = Daemon::start(PATIENT);
     let add = |daemon: &Daemon, options: &str, known: &str| {
         let line = format!("cdcrctl obstacle add {options}");
-        daemon.place().says(&line, 0, &[known]);
+        daemon.place().checked(&line, 0, &[known]);
     };
     let goto = |daemon: &Daemon, status: i32, parts: &[&str]| {
         let line = "cdcrctl goto 0.1,0,0.85 --speed 0.2 --acceleration 2";
-        daemon.place().says(line, status, parts);
+        daemon.place().checked(line, status, parts);
     };
     add(&daemon, "--id 1 --at 0.1,0,0.85 --radius 0.03", "1 known");
     let moves = "--at 0.5,0,0.6 --to 0.5,0.3,0.6 --radius 0.01 --velocity 0.001,0,0";
@@ -369,13 +369,13 @@ fn obstacles_without_a_lifetime_outlive_the_daemon_until_they_are_removed() {
     }
     daemon
         .place()
-        .says("cdcrctl obstacle remove 1", 0, &["1 known"]);
+        .checked("cdcrctl obstacle remove 1", 0, &["1 known"]);
     daemon.kill();
     daemon.restart();
     assert_eq!(record_with(&daemon, 1).1[0].id, 2);
     daemon
         .place()
-        .says("cdcrctl obstacle clear", 0, &["0 known"]);
+        .checked("cdcrctl obstacle clear", 0, &["0 known"]);
     daemon.kill();
     daemon.restart();
     record_with(&daemon, 0);
@@ -388,7 +388,7 @@ fn obstacles_without_a_lifetime_outlive_the_daemon_until_they_are_removed() {
 fn a_daemon_that_cannot_read_the_obstacles_before_it_begins_stopped() {
     let mut daemon = Daemon::start(PATIENT);
     let add = "cdcrctl obstacle add --id 1 --at 0.5,0,0.5 --radius 0.03";
-    daemon.place().says(add, 0, &["1 known"]);
+    daemon.place().checked(add, 0, &["1 known"]);
     daemon.kill();
     std::fs::write(kept_file(&daemon), "of another version").unwrap();
     // It stays stopped for a later daemon, too, although that finds a file that it can read.
@@ -402,8 +402,8 @@ fn a_daemon_that_cannot_read_the_obstacles_before_it_begins_stopped() {
         daemon.kill();
     }
     daemon.restart();
-    daemon.place().says(add, 0, &["1 known"]);
-    daemon.place().says("cdcrctl reset", 0, &[]);
+    daemon.place().checked(add, 0, &["1 known"]);
+    daemon.place().checked("cdcrctl reset", 0, &[]);
     daemon.kill();
     daemon.restart();
     assert_eq!(record_with(&daemon, 1).0.mode, Mode::Holding.code());

@@ -13,7 +13,7 @@ use cdcr_daemon::instance::is_in_memory;
 use cdcr_scratch::Scratch;
 use cdcr_shared_types::{Service, ipc};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, Place, Program, ROBOT, TIMEOUT, assert_says, wait_status, wait_until};
+use cdcr_tests::{Daemon, Place, Program, ROBOT, TIMEOUT, assert_output, wait_status, wait_until};
 use iceoryx2::prelude::Node;
 use rustix::process::Signal;
 
@@ -26,7 +26,7 @@ const NOBODY: u32 = 65_534;
 /// memory.
 fn assert_refused(place: &Place, options: &[&str], status: i32, parts: &[&str]) {
     let mut command = place.command("cdcrd");
-    assert_says(
+    assert_output(
         &Program::start(command.arg("run").args(options)).output(),
         status,
         parts,
@@ -54,7 +54,7 @@ fn a_second_daemon_ends_with_69_and_the_first_goes_on() {
         prefix,
         "--prefix",
     ];
-    daemon.place().says("cdcrd run", 69, &parts);
+    daemon.place().checked("cdcrd run", 69, &parts);
     let connection = daemon.connect();
     let before = connection.status(TIMEOUT).unwrap();
     let after = wait_status(&connection, |status| status.cycles > before.cycles + 10);
@@ -154,7 +154,7 @@ fn a_client_killed_while_it_connects_does_not_block_those_that_follow() {
         "client killed while it connects: cleared after {:.1} s",
         took.as_secs_f64()
     );
-    daemon.place().says("cdcrctl status", 0, &[]);
+    daemon.place().checked("cdcrctl status", 0, &[]);
     // A daemon that ends at once, and one that replaces a dead daemon, remove it themselves.
     kill_client_while_it_connects(&daemon, "telemetry");
     assert_eq!(daemon.stop().code(), Some(0), "{}", daemon.log());
@@ -303,7 +303,7 @@ fn a_service_of_another_version_keeps_the_daemon_out_with_71_and_the_client_too(
         .unwrap();
     let service = format!("cdcr/{ROBOT}/reference");
     let parts = [&*service, "another version", "end the clients"];
-    place.says("cdcrd run", 71, &parts);
+    place.checked("cdcrd run", 71, &parts);
     let error = Connection::open(place.location(), ROBOT).expect_err("another version");
     let is_of_reference = matches!(
         error,
@@ -317,7 +317,7 @@ fn a_service_of_another_version_keeps_the_daemon_out_with_71_and_the_client_too(
         "another version of the reference service",
         "of the same version",
     ];
-    place.says("cdcrctl status", 1, &parts);
+    place.checked("cdcrctl status", 1, &parts);
     drop(other);
     drop(node);
 }

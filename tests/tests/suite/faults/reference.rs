@@ -292,7 +292,7 @@ fn a_killed_client_loses_the_lease_to_whoever_comes() {
 }
 
 #[test]
-fn a_stopped_client_loses_the_lease_and_is_told_when_it_wakes() {
+fn a_stopped_client_loses_the_lease_and_gets_an_error_when_it_continues() {
     let daemon = short_lease();
     let connection = daemon.connect();
     let (mut trail, mut renewal) = (Trail::new(&connection), Renewal::default());

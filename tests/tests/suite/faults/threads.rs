@@ -158,7 +158,7 @@ fn a_hung_exchange_thread_ends_the_process() {
 }
 
 /// Checks that an error about silence says that the process runs, without a hint how to start it.
-fn assert_says_it_runs(error: &LinkError, process: u32) {
+fn assert_names_the_process(error: &LinkError, process: u32) {
     let text = error.to_string();
     let is_reported = text.contains(&format!("it runs (process {process})"));
     assert!(is_reported && !text.contains("cdcrd run"), "{text}");
@@ -191,7 +191,7 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     drop(other);
     // It is not taken for an ended daemon.
     let silent = connection.settings().expect_err("no telemetry");
-    assert_says_it_runs(&silent, daemon.id());
+    assert_names_the_process(&silent, daemon.id());
     drive_until_end(&mut daemon, &mut robot, &hung);
     let still = Duration::from_nanos(monotonic_ns() - last_sent_ns);
     assert!(still + LOOKS > 5 * WATCHDOG, "{still:?}");
@@ -269,7 +269,7 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
         match connection.status(Duration::ZERO) {
             Ok(status) => last = status,
             Err(error) => {
-                assert_says_it_runs(&error, managed.daemon.id());
+                assert_names_the_process(&error, managed.daemon.id());
                 return matches!(error, LinkError::Silent { .. });
             }
         }
@@ -288,7 +288,7 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
     // New clients learn that it runs but is delayed; the robot can still be stopped, in two ways.
     let error = Connection::open(location, ROBOT).expect_err("no status");
     assert!(matches!(error, ConnectError::Silent { .. }), "{error:?}");
-    managed.place.says("cdcrctl stop", 0, &[]);
+    managed.place.checked("cdcrctl stop", 0, &[]);
     trail.until("stopped", is(Mode::Stopped));
     ask_for(&connection, RequestKind::Reset);
     trail.until("holding again", is(Mode::Holding));
@@ -319,7 +319,7 @@ fn a_hung_status_thread_keeps_neither_the_watchdog_nor_the_end_waiting() {
         trail.until("the watchdog is fed", |_| managed.fed() > 0);
     }
     // The status thread handles neither requests nor records.
-    managed.place.says("cdcrctl stop", 0, &[]);
+    managed.place.checked("cdcrctl stop", 0, &[]);
     trail.until("stopped", is(Mode::Stopped));
     managed.daemon.signal(Signal::TERM);
     wait_until("it ends", || {

@@ -62,11 +62,11 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_stop_out() {
         Service::CONTROL_CLIENTS - Service::CONTROL_KEPT
     );
     for _ in 0..3 {
-        daemon.place().says("cdcrctl stop", 0, &[]);
+        daemon.place().checked("cdcrctl stop", 0, &[]);
         wait_mode(&mut telemetry, Mode::Stopped);
         // Of the others, only clients with a place can send requests.
         let place = daemon.place();
-        place.says("cdcrctl reset", 1, &["close one of them"]);
+        place.checked("cdcrctl reset", 1, &["close one of them"]);
         ask_for(&crowd.connections[0], RequestKind::Reset);
         wait_mode(&mut telemetry, Mode::Holding);
     }
@@ -220,7 +220,7 @@ fn a_stop_does_not_wait_for_the_dead() {
     let begin = Instant::now();
     let before = dead_nodes();
     assert!(before > (VICTIMS * NODES) as u64 / 2, "{before}");
-    let stop = || drop(place.says("cdcrctl stop", 0, &[]));
+    let stop = || drop(place.checked("cdcrctl stop", 0, &[]));
     let timed: Vec<_> = (0..TRIES).map(|_| timed(place, stop)).collect();
     assert!(!timed.iter().all(Timed::is_late), "{timed:?}");
     let took = timed[0].took;

@@ -41,7 +41,9 @@ fn assert_waits_for_reset(daemon: &Daemon, before: &str) {
     let output = daemon.place().cdcrctl(&["home"]);
     assert!(!output.status.success());
     assert!(text(&output).contains("cdcrctl reset"), "{}", text(&output));
-    daemon.place().says("cdcrctl status", 0, &["cdcrctl reset"]);
+    daemon
+        .place()
+        .checked("cdcrctl status", 0, &["cdcrctl reset"]);
     let log = daemon.log();
     assert!(
         log.contains(before) && log.contains("until `cdcrctl reset`"),
@@ -88,7 +90,7 @@ fn a_stop_holds_beyond_an_orderly_end_and_an_end_alone_is_none() {
         "nothing was stopped: no daemon is running",
         "emergency stop",
     ];
-    daemon.place().says("cdcrctl stop", 1, &nothing);
+    daemon.place().checked("cdcrctl stop", 1, &nothing);
     daemon.restart();
     let connection = daemon.connect();
     assert_eq!(mode_after_start(&connection).0, Mode::Holding.code());
@@ -221,7 +223,7 @@ fn a_latch_that_is_not_the_daemons_is_not_used() {
     let elsewhere = daemon.place().folder().join("elsewhere");
     fs::write(&elsewhere, "theirs and long enough").unwrap();
     std::os::unix::fs::symlink(&elsewhere, latch_of(&daemon)).unwrap();
-    daemon.place().says(
+    daemon.place().checked(
         "cdcrd run",
         73,
         &[".latch", "it is a symbolic link\nremove it"],

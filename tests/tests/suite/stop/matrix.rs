@@ -11,7 +11,7 @@ use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_testbed::quantiles::{histogram, quantile_us};
 use cdcr_tests::load::{Done, flood_obstacles, flood_references};
 use cdcr_tests::{
-    Daemon, EndWhenDropped, Place, ask_for, asked, assert_says, ball, oversleep_until, text,
+    Daemon, EndWhenDropped, Place, ask_for, asked, assert_output, ball, oversleep_until, text,
     wait_status, wait_until,
 };
 
@@ -240,7 +240,7 @@ impl Stage<'_> {
             Mode::Stopped
         };
         let parts = format!("the daemon is {}", goal.text());
-        let printed = assert_says(output, 0, &[&parts]);
+        let printed = assert_output(output, 0, &[&parts]);
         let cycle = accepted_in(&printed);
         let trail = &mut self.trail;
         let (_, first) = trail.until("the cycle of the answer", |record| record.cycle >= cycle);

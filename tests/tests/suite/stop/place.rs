@@ -17,7 +17,7 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Location, NameHolder};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
-    Daemon, PATIENT, Program, ROBOT, TIMEOUT, ask_for, assert_says, text, wait_mode, wait_until,
+    Daemon, PATIENT, Program, ROBOT, TIMEOUT, ask_for, assert_output, text, wait_mode, wait_until,
 };
 use rustix::fs::{FlockOperation, flock};
 use rustix::process::{Signal, geteuid};
@@ -27,7 +27,7 @@ use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
 /// Checks that a second daemon at the same place is rejected with a message that names the first.
 fn assert_second_is_refused(daemon: &Daemon) {
     let process = format!("process {}", daemon.id());
-    daemon.place().says("cdcrd run", 69, &[&process]);
+    daemon.place().checked("cdcrd run", 69, &[&process]);
 }
 
 #[test]
@@ -44,7 +44,7 @@ fn a_deleted_lock_file_is_made_again_and_lets_no_second_daemon_in() {
         });
         assert_second_is_refused(&daemon);
     }
-    daemon.place().says("cdcrctl stop", 0, &[]);
+    daemon.place().checked("cdcrctl stop", 0, &[]);
     wait_mode(&mut telemetry, Mode::Stopped);
     assert!(daemon.stop().success(), "{}", daemon.log());
     assert!(!lock.exists(), "the end removes it");
@@ -96,7 +96,7 @@ fn assert_ends_without_its_place(delete: impl FnOnce(&Path)) {
     assert!(daemon.log().contains("was emptied or replaced"));
     // It left nothing, and its place is free.
     daemon.restart();
-    daemon.place().says("cdcrctl stop", 0, &[]);
+    daemon.place().checked("cdcrctl stop", 0, &[]);
     assert!(daemon.stop().success(), "{}", daemon.log());
     let left = daemon.place().memory_files();
     assert_eq!(left, Vec::<PathBuf>::new());
@@ -281,7 +281,7 @@ fn a_second_daemon_in_another_network_is_refused_with_and_without_a_lock_file() 
     let Some(second) = second_in_its_own_network(&mut daemon) else {
         return;
     };
-    assert_says(&second, 69, &["already running"]);
+    assert_output(&second, 69, &["already running"]);
     assert!(daemon.runs(), "{}", daemon.log());
     fs::remove_file(daemon.place().location().lock_file(ROBOT)).unwrap();
     if let Some(second) = second_in_its_own_network(&mut daemon) {

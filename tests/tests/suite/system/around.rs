@@ -15,7 +15,7 @@ use cdcr_interchange::mcap::{Item, Reader};
 use cdcr_interchange::standard::{Log, MarkerArray};
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_tests::{
-    Daemon, PATIENT, Program, ask_for, assert_says, text, track, until_undisturbed, wait_until,
+    Daemon, PATIENT, Program, ask_for, assert_output, text, track, until_undisturbed, wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value;
@@ -56,7 +56,7 @@ fn a_recording_has_what_viewers_draw_and_what_the_machine_is_like() {
     let connection = daemon.connect();
     track(&connection, &curve);
     recorder.signal(Signal::INT);
-    assert_says(&recorder.output(), 0, &["run.mcap"]);
+    assert_output(&recorder.output(), 0, &["run.mcap"]);
     let (messages, attachments) = content(&file);
     let all = [
         "configuration.toml",
@@ -151,7 +151,7 @@ fn what_was_before_a_change_of_mode_is_recorded_with_what_comes_after() {
         let connection = daemon.connect();
         ask_for(&connection, RequestKind::Stop);
         // A recorder delayed for longer by the machine misses the change.
-        assert_says(&output_of_one_that_ends(recorder)?, 0, &["mode.mcap"]);
+        assert_output(&output_of_one_that_ends(recorder)?, 0, &["mode.mcap"]);
         let found = info(&daemon, "mode.mcap");
         let cycles = |mode: &str| found["modes"][mode].as_u64().unwrap_or(0);
         // One second before and half a second after: fewer records if the machine skipped periods, more if it
@@ -164,7 +164,7 @@ fn what_was_before_a_change_of_mode_is_recorded_with_what_comes_after() {
     // The cycles follow no reference, so all of them can be recomputed.
     daemon
         .place()
-        .says("cdcrctl replay --verify mode.mcap", 0, &["reproduced"]);
+        .checked("cdcrctl replay --verify mode.mcap", 0, &["reproduced"]);
 }
 
 #[test]
@@ -178,7 +178,7 @@ fn the_scope_waits_draws_and_records() {
         ask_for(&connection, RequestKind::Stop);
         Some((daemon, output_of_one_that_ends(scope)?))
     });
-    let reported = assert_says(&output, 0, &["mode in cycle", "stopped", "response [us]"]);
+    let reported = assert_output(&output, 0, &["mode in cycle", "stopped", "response [us]"]);
     assert!(reported.lines().count() > 15, "{reported}");
     assert!(
         info(&daemon, "shot.mcap")["modes"]["stopped"]
@@ -193,7 +193,7 @@ fn what_does_not_happen_leaves_no_file() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
     let line = "cdcrctl record --around error>500mm --duration 500ms -o none.mcap";
-    place.says(line, 1, &["nothing was recorded"]);
+    place.checked(line, 1, &["nothing was recorded"]);
     let output = until_undisturbed("a recorder hears a signal after half a second", || {
         let mut recorder = place.start("cdcrctl record --around fault -o none.mcap");
         std::thread::sleep(Duration::from_millis(500));
@@ -205,16 +205,16 @@ fn what_does_not_happen_leaves_no_file() {
     assert_eq!(output.status.code(), Some(130), "{}", text(&output));
     assert!(!place.folder().join("none.mcap").exists());
     fs::write(place.folder().join("none.mcap"), "mine").unwrap();
-    place.says(
+    place.checked(
         "cdcrctl record --around fault -o none.mcap",
         1,
         &["none.mcap exists: remove it"],
     );
     // What could not be written is reported before the wait for the trigger.
-    place.says(
+    place.checked(
         "cdcrctl record --around fault -o nowhere/none.mcap",
         1,
         &["cannot write into nowhere"],
     );
-    place.says("cdcrctl scope --trigger error>5", 2, &["unit"]);
+    place.checked("cdcrctl scope --trigger error>5", 2, &["unit"]);
 }

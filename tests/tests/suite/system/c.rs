@@ -5,7 +5,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
 
-use cdcr_tests::{Daemon, PATIENT, Place, Program, TIMEOUT, assert_says, text, wait_until};
+use cdcr_tests::{Daemon, PATIENT, Place, Program, TIMEOUT, assert_output, text, wait_until};
 
 use super::driver_example::run_driver;
 
@@ -75,7 +75,7 @@ fn the_client_in_c_feeds_and_watches() {
     let daemon = Daemon::start(PATIENT);
     let program = built(daemon.place(), "examples/feed.c", Linked::Shared);
     let output = Program::start(&mut daemon.place().command_of(&program)).output();
-    let reported = assert_says(&output, 0, &["robot cdcr: 3 sections, 0.9 m"]);
+    let reported = assert_output(&output, 0, &["robot cdcr: 3 sections, 0.9 m"]);
     let tracked: u64 = reported
         .split(" cycles tracked")
         .next()
@@ -88,7 +88,7 @@ fn the_client_in_c_feeds_and_watches() {
 struct Probe {
     case: &'static str,
     program: Program,
-    says: ChildStdin,
+    stdin: ChildStdin,
 }
 
 impl Probe {
@@ -96,11 +96,11 @@ impl Probe {
         let program = built(daemon.place(), "tests/probe.c", Linked::Shared);
         let mut command = daemon.place().command_of(&program);
         let mut program = Program::start(command.arg(case).stdin(Stdio::piped()));
-        let says = program.0.stdin.take().unwrap();
+        let stdin = program.0.stdin.take().unwrap();
         Self {
             case,
             program,
-            says,
+            stdin,
         }
     }
 
@@ -113,7 +113,7 @@ impl Probe {
 
     fn go_on(&mut self) {
         // A program that has ended prints the reason.
-        let _ = self.says.write_all(b"\n");
+        let _ = self.stdin.write_all(b"\n");
     }
 
     fn ends_well(mut self) {

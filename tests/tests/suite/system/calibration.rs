@@ -9,7 +9,7 @@ use cdcr_client::Connection;
 use cdcr_scratch::Scratch;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, TIMEOUT, ask_for, assert_says, binary, text,
+    Daemon, PATIENT, Place, Program, TIMEOUT, ask_for, assert_output, binary, text,
     until_undisturbed, wait_mode, wait_record, wait_until,
 };
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
@@ -75,7 +75,7 @@ fn run(place: &Place, folder: &Path, arguments: &[&str]) -> String {
             "{arguments:?}: {printed}"
         );
         fs::remove_file(folder.join(arguments[3])).unwrap();
-        place.says("cdcrctl home --wait", 0, &[]);
+        place.checked("cdcrctl home --wait", 0, &[]);
         None
     })
 }
@@ -222,7 +222,7 @@ fn two_sections_are_excited_within_the_duration_that_is_given() {
     let place = daemon.place();
     for options in ["20s", "35s --seed 4", "35s --rate-max 1.5 --seed 1"] {
         let line = format!("cdcrctl calibrate excite -o moved.csv --dry-run --duration {options}");
-        place.says(&line, 0, &["length"]);
+        place.checked(&line, 0, &["length"]);
     }
     let excite = "calibrate excite -o moved.csv --duration 25s";
     let excite: Vec<&str> = excite.split(' ').collect();
@@ -244,10 +244,10 @@ fn an_exciting_path_that_cannot_be_is_refused_before_anything_moves() {
     let daemon = one_section();
     let place = daemon.place();
     let refused = |line: &str, why: &str| {
-        place.says(line, 1, &[why]);
+        place.checked(line, 1, &[why]);
         assert!(!place.folder().join("moved.csv").exists(), "{line}");
     };
-    place.says(
+    place.checked(
         &format!("{EXCITE} --dry-run"),
         0,
         &["length", "rate", "bend", "tip error"],
@@ -258,18 +258,18 @@ fn an_exciting_path_that_cannot_be_is_refused_before_anything_moves() {
     );
     // The named duration is enough.
     let line = "cdcrctl calibrate excite -o moved.csv --dry-run --duration";
-    let reported = place.says(&format!("{line} 5s"), 1, &["use --duration "]);
+    let reported = place.checked(&format!("{line} 5s"), 1, &["use --duration "]);
     let (_, needed) = reported.split_once("use --duration ").unwrap();
     let (needed, _) = needed.split_once(' ').unwrap();
-    place.says(&format!("{line} {needed}"), 0, &["length"]);
-    place.says(
+    place.checked(&format!("{line} {needed}"), 0, &["length"]);
+    place.checked(
         "cdcrctl obstacle add --id 1 --at 0.12,0,0.25 --radius 0.03",
         0,
         &[],
     );
     refused(EXCITE, "nothing moved");
-    place.says("cdcrctl obstacle remove 1", 0, &[]);
-    place.says("cdcrctl goto 0.1008,0,0.2761 --speed 0.2", 0, &[]);
+    place.checked("cdcrctl obstacle remove 1", 0, &[]);
+    place.checked("cdcrctl goto 0.1008,0,0.2761 --speed 0.2", 0, &[]);
     refused(&format!("{EXCITE} --bend-max 0.3"), "section 1 bends by 0.");
     let status = daemon.connect().status(TIMEOUT).unwrap();
     assert_eq!(
@@ -279,7 +279,7 @@ fn an_exciting_path_that_cannot_be_is_refused_before_anything_moves() {
     let without_tip = Daemon::start(PATIENT);
     without_tip
         .place()
-        .says(EXCITE, 1, &["calibration needs cable lengths and the tip"]);
+        .checked(EXCITE, 1, &["calibration needs cable lengths and the tip"]);
 }
 
 /// Starts it, and waits until its file contains rows. It ignores SIGXFSZ, which a full disk does not send.
@@ -312,7 +312,7 @@ fn rows(daemon: &Daemon, file: &str) -> usize {
 fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
     let mut daemon = one_section();
     let ends = |mut program: Program, status: i32, parts: &[&str]| {
-        assert_says(&program.output(), status, parts);
+        assert_output(&program.output(), status, parts);
     };
     let holds = |connection: &Connection| {
         wait_mode(&mut connection.telemetry().unwrap(), Mode::Holding);
@@ -327,7 +327,7 @@ fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
     );
     holds(&daemon.connect());
     assert!(rows(&daemon, "interrupted.csv") > 10);
-    daemon.place().says("cdcrctl home --wait", 0, &[]);
+    daemon.place().checked("cdcrctl home --wait", 0, &[]);
 
     let program = excited(&daemon, "held.csv");
     ask_for(&daemon.connect(), RequestKind::Hold);
@@ -341,7 +341,7 @@ fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
         ],
     );
     holds(&daemon.connect());
-    daemon.place().says("cdcrctl home --wait", 0, &[]);
+    daemon.place().checked("cdcrctl home --wait", 0, &[]);
 
     let program = excited(&daemon, "full.csv");
     let written = fs::metadata(daemon.place().folder().join("full.csv")).unwrap();
@@ -353,7 +353,7 @@ fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
     prlimit(id, Resource::Fsize, full).unwrap();
     ends(program, 1, &["full.csv", "File too large"]);
     holds(&daemon.connect());
-    daemon.place().says("cdcrctl home --wait", 0, &[]);
+    daemon.place().checked("cdcrctl home --wait", 0, &[]);
 
     let program = excited(&daemon, "gone.csv");
     daemon.kill();
@@ -363,7 +363,7 @@ fn what_comes_between_leaves_the_robot_held_and_the_rows_until_then() {
 /// A recording of `cdcrctl record` during an exciting path gives the same result as the rows of that path,
 /// also without a daemon. Other files are rejected with a reason.
 #[test]
-fn a_recording_tells_what_its_rows_tell() {
+fn a_recording_gives_the_same_result_as_its_rows() {
     const LENGTH_M: f64 = 0.3;
     let mut daemon = one_section();
     let folder = daemon.place().folder().to_owned();
@@ -379,7 +379,7 @@ fn a_recording_tells_what_its_rows_tell() {
     ];
     run(daemon.place(), &folder, &excite);
     recorder.signal(Signal::INT);
-    assert_says(&recorder.output(), 0, &["moved.mcap"]);
+    assert_output(&recorder.output(), 0, &["moved.mcap"]);
     let of_rows = geometry(daemon.place(), &folder, "moved.csv");
     assert_eq!(daemon.stop().code(), Some(0));
     let of_recording = geometry(daemon.place(), &folder, "moved.mcap");
@@ -429,7 +429,7 @@ fn a_recording_tells_what_its_rows_tell() {
         ),
     ] {
         let line = format!("cdcrctl calibrate geometry {arguments}");
-        daemon.place().says(&line, status, &[expected]);
+        daemon.place().checked(&line, status, &[expected]);
     }
 
     let mut command = daemon.place().command("cdcrctl");
@@ -441,11 +441,11 @@ fn a_recording_tells_what_its_rows_tell() {
 
     let without_tip = Daemon::start(PATIENT);
     let place = without_tip.place();
-    place.says(
+    place.checked(
         "cdcrctl record -o rest.mcap --duration 500ms",
         0,
         &["rest.mcap"],
     );
     let line = "cdcrctl calibrate geometry rest.mcap";
-    place.says(line, 1, &["rest.mcap: measured: cable lengths, and no tip"]);
+    place.checked(line, 1, &["rest.mcap: measured: cable lengths, and no tip"]);
 }

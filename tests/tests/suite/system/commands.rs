@@ -9,17 +9,17 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, Mode, Reason};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, assert_says, text, wait_mode, wait_status};
+use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, assert_output, text, wait_mode, wait_status};
 use rustix::process::Signal;
 
 /// Output of a command that fails.
 fn refused(daemon: &Daemon, line: &str) -> String {
-    daemon.place().says(&format!("cdcrctl {line}"), 1, &[])
+    daemon.place().checked(&format!("cdcrctl {line}"), 1, &[])
 }
 
 /// Output of a command that succeeds.
 fn done(daemon: &Daemon, line: &str) -> String {
-    daemon.place().says(&format!("cdcrctl {line}"), 0, &[])
+    daemon.place().checked(&format!("cdcrctl {line}"), 0, &[])
 }
 
 /// Failing commands, and their output.
@@ -128,7 +128,7 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
     assert!(limited_percent < 50.0, "{printed}");
     let line = "cdcrctl ref line --duration 200ms --lead 1s --track --max-error 100mm";
     let output = daemon.place().start(line).output();
-    assert_says(&output, 1, &["more than --max-error, 100.000 mm"]);
+    assert_output(&output, 1, &["more than --max-error, 100.000 mm"]);
     let printed = text(&output);
     assert!(printed.contains("tip error: mean"), "{printed}");
     // A script learns of it without an option, too.
@@ -146,7 +146,7 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     let too_short = "cdcrctl home --wait=290ms";
-    daemon.place().says(too_short, 2, &["must be 0.3 s to"]);
+    daemon.place().checked(too_short, 2, &["must be 0.3 s to"]);
     let printed = refused(&daemon, "home --wait=300ms");
     assert!(
         printed.contains("not done within 300ms; the robot continues"),
@@ -273,7 +273,7 @@ fn saved_settings_are_those_of_the_next_daemon() {
         "{made}"
     );
     let check = "cdcrd check --config new.toml";
-    daemon.place().says(check, 0, &[]);
+    daemon.place().checked(check, 0, &[]);
     let same = done(&daemon, "settings save new.toml");
     assert!(same.contains("nothing to change"), "{same}");
     done(
@@ -289,7 +289,7 @@ fn saved_settings_are_those_of_the_next_daemon() {
     assert!(daemon.stop().success());
     daemon
         .place()
-        .says("cdcrd check --config robot.toml", 0, &[]);
+        .checked("cdcrd check --config robot.toml", 0, &[]);
     let daemon = Daemon::start(&text);
     assert_eq!(daemon.connect().settings().unwrap(), settings);
     let again = done(&daemon, "settings save");

@@ -8,7 +8,7 @@ use cdcr_process::{PREFIX, ROOT, cdcrd_in};
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{
-    Place, Program, TIMEOUT, assert_says, in_public_memory, text, wait_status, wait_until,
+    Place, Program, TIMEOUT, assert_output, in_public_memory, text, wait_status, wait_until,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
@@ -312,7 +312,7 @@ fn a_folder_for_results_that_cannot_be_written_is_refused_before_the_run() {
         let mut command = place.command("cdcrctl");
         command.args(line.split(' ')).current_dir(place.folder());
         let output = Program::start(&mut command).output();
-        assert_says(&output, 1, &["cannot write into"]);
+        assert_output(&output, 1, &["cannot write into"]);
         assert!(output.stdout.is_empty(), "it ran: {}", text(&output));
     }
     assert!(mount(&format!("umount '{out}'")));

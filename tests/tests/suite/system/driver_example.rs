@@ -120,7 +120,7 @@ fn the_example_is_short() {
 }
 
 #[test]
-fn an_example_of_the_other_interface_says_what_to_do() {
+fn an_example_of_the_other_interface_names_the_remedy() {
     let daemon = Daemon::start("[link]\nkind = \"driver\"\n");
     let mut command = daemon.place().command("examples/driver");
     let output = command.output().unwrap();

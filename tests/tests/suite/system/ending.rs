@@ -98,7 +98,7 @@ fn a_robot_that_cannot_rest_in_time_ends_with_a_status_of_its_own() {
 }
 
 #[test]
-fn the_largest_problem_starts_at_once_and_ends_when_it_is_told_to() {
+fn the_largest_problem_starts_at_once_and_ends_on_request() {
     let mut daemon = Daemon::start(&format!(
         "{PATIENT}[controller]\nhorizon_steps = 50\nswarm_size = 512\nswarm_iterations = 1000\n"
     ));

@@ -195,10 +195,10 @@ fn run_all<'a>(examples: impl Iterator<Item = &'a String>) {
     // Files that the examples read; those that record have other tests. There is an obstacle, so that it can
     // be sent again.
     let obstacle = "cdcrctl obstacle add --id 9 --at 0.5,0,0.5 --radius 0.01";
-    daemon.place().says(obstacle, 0, &[]);
+    daemon.place().checked(obstacle, 0, &[]);
     daemon
         .place()
-        .says("cdcrctl record -o recorded --duration 300ms", 0, &[]);
+        .checked("cdcrctl record -o recorded --duration 300ms", 0, &[]);
     let recorded = folder.join("recorded");
     for example in examples {
         let is_recording = |word: &&str| Path::new(word).extension().is_some_and(|of| of == "mcap");

@@ -5,21 +5,23 @@ use std::time::Duration;
 use cdcr_shared_types::codes::{Mode, Reason};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{
-    Daemon, PATIENT, assert_says, text, until_undisturbed, wait_mode, wait_record, wait_until,
+    Daemon, PATIENT, assert_output, text, until_undisturbed, wait_mode, wait_record, wait_until,
 };
 use rustix::process::Signal;
 
-fn says(daemon: &Daemon, line: &str, status: i32) -> String {
-    daemon.place().says(&format!("cdcrctl {line}"), status, &[])
+fn checked(daemon: &Daemon, line: &str, status: i32) -> String {
+    daemon
+        .place()
+        .checked(&format!("cdcrctl {line}"), status, &[])
 }
 
 /// The same for a command that succeeds. `None` if a stall took the tip off its path, because the rates are
 /// constant meanwhile.
-fn says_unless_stalled(daemon: &Daemon, line: &str) -> Option<String> {
+fn checked_unless_stalled(daemon: &Daemon, line: &str) -> Option<String> {
     let output = daemon.place().start(&format!("cdcrctl {line}")).output();
     let by_stalls = [Reason::InputsStale.text(), "more than --max-error"];
     let is_stalled = by_stalls.iter().any(|words| text(&output).contains(words));
-    (!is_stalled).then(|| assert_says(&output, 0, &[]))
+    (!is_stalled).then(|| assert_output(&output, 0, &[]))
 }
 
 /// Tip position of the newest cycle.
@@ -49,27 +51,27 @@ fn the_tip_goes_to_a_point_and_by_so_much_and_nothing_moves_that_cannot_be_reach
     let daemon = Daemon::start(PATIENT);
     let start_m = tip_m(&daemon);
     let [near, away] = ["goto 0.05,0.02,0.87 --dry-run", "goto 0.5,0.5,0.5"];
-    assert!(says(&daemon, near, 0).contains("nothing moved; the ideal robot would need"));
-    assert!(says(&daemon, away, 1).contains("not reachable: the tip stays"));
+    assert!(checked(&daemon, near, 0).contains("nothing moved; the ideal robot would need"));
+    assert!(checked(&daemon, away, 1).contains("not reachable: the tip stays"));
     // Without a simulation, which refuses motions of more than 200 000 cycles with another reason.
-    let far = says(&daemon, "goto 5,5,5 --speed 0.001", 1);
+    let far = checked(&daemon, "goto 5,5,5 --speed 0.001", 1);
     assert!(far.contains("and the robot is 0.900 m long"), "{far}");
-    assert!(says(&daemon, "jog 0,0,0.5 --dry-run", 1).contains("not reachable"));
-    assert!(says(&daemon, "goto 50,20,870", 1).contains("are these millimetres?"));
+    assert!(checked(&daemon, "jog 0,0,0.5 --dry-run", 1).contains("not reachable"));
+    assert!(checked(&daemon, "goto 50,20,870", 1).contains("are these millimetres?"));
     // An obstacle covers the point.
     let covers = "obstacle add --id 42 --at 0.3,0,0.75 --radius 0.05";
-    assert_ne!(says(&daemon, covers, 0), "");
-    let covered = says(&daemon, "goto 0.3,0,0.75 --dry-run", 1);
+    assert_ne!(checked(&daemon, covers, 0), "");
+    let covered = checked(&daemon, "goto 0.3,0,0.75 --dry-run", 1);
     let names = ["Without the obstacles the tip arrives", "has id 42"];
     assert!(names.iter().all(|name| covered.contains(name)), "{covered}");
-    says(&daemon, "obstacle clear", 0);
+    checked(&daemon, "obstacle clear", 0);
     assert!(distance_m(tip_m(&daemon), start_m) < 0.002, "nothing moved");
 
     let fast = "--speed 0.2 --acceleration 2";
     until_undisturbed("the tip ends where it was sent", || {
-        says(&daemon, &format!("goto 0.05,0.02,0.87 {fast}"), 0);
+        checked(&daemon, &format!("goto 0.05,0.02,0.87 {fast}"), 0);
         let there_m = tip_m(&daemon);
-        says(&daemon, &format!("jog 0.02,-0.04,-0.01 {fast}"), 0);
+        checked(&daemon, &format!("jog 0.02,-0.04,-0.01 {fast}"), 0);
         let by_m = tip_m(&daemon);
         println!("{there_m:?}, then {by_m:?}");
         // A stall at the end of a motion leaves the tip where the last rates took it.
@@ -83,16 +85,16 @@ fn a_curve_and_a_file_are_changed_before_they_are_sent() {
     let daemon = Daemon::start(PATIENT);
     let rows = "t_s,x_m,y_m,z_m\n0,0.1,0,0.85\n0.2,0.1,0.01,0.85\n0.8,0.1,0.05,0.85\n";
     daemon.place().write("path.csv", rows);
-    says(&daemon, "goto 0.1,0,0.85 --speed 0.2 --acceleration 2", 0);
+    checked(&daemon, "goto 0.1,0,0.85 --speed 0.2 --acceleration 2", 0);
     let mut telemetry = daemon.connect().telemetry().unwrap();
     // Forwards and backwards, at half the speed and half the size, upright: longer than its approach, even
     // when a stall delays the approach.
     let file = "ref file path.csv --speed 0.5 --repeat 2 --scale 0.5 --plane xz --track --max-error 50mm --lead 1s";
-    let fed = until_undisturbed(file, || says_unless_stalled(&daemon, file));
+    let fed = until_undisturbed(file, || checked_unless_stalled(&daemon, file));
     assert!(fed.contains("5 points") && fed.contains("3.20 s"), "{fed}");
     let last = wait_record(&mut telemetry, |record| record.reference.state == 3);
     assert!(distance_m(last.reference.position_m, [0.1, 0.0, 0.85]) < 1e-9);
-    let line = says(
+    let line = checked(
         &daemon,
         "ref line --duration 400ms --repeat 2 --speed 2 --lead 1s",
         0,
@@ -102,14 +104,14 @@ fn a_curve_and_a_file_are_changed_before_they_are_sent() {
         .replace("z_m\n", "z_m,qx,qy,qz,qw\n")
         .replace(".85\n", ".85,0,0,0,1\n");
     daemon.place().write("turned.csv", &turned);
-    let reported = says(&daemon, "ref file turned.csv --plane xz", 1);
+    let reported = checked(&daemon, "ref file turned.csv --plane xz", 1);
     assert!(reported.contains("orientations"), "{reported}");
 }
 
 #[test]
-fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
+fn a_reference_is_tried_without_moving_and_its_approach_is_reported_separately() {
     let daemon = Daemon::start(PATIENT);
-    let reachable = says(&daemon, "ref spiral --dry-run", 0);
+    let reachable = checked(&daemon, "ref spiral --dry-run", 0);
     for word in [
         "first point",
         "tip error",
@@ -125,20 +127,20 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     assert!(share < 60.0, "{reachable}");
     let has_row = |line: &str| line.trim_start().starts_with("clearance");
     assert!(!reachable.lines().any(has_row), "there is no obstacle");
-    says(
+    checked(
         &daemon,
         "obstacle add --id 1 --at 0.2,0,0.4 --radius 0.02",
         0,
     );
-    let beside = says(&daemon, "ref spiral --dry-run", 0);
+    let beside = checked(&daemon, "ref spiral --dry-run", 0);
     assert!(beside.lines().any(has_row), "{beside}");
-    assert!(says(&daemon, "ref line --start 0,0,0.95 --dry-run", 1).contains("not reachable"));
+    assert!(checked(&daemon, "ref line --start 0,0,0.95 --dry-run", 1).contains("not reachable"));
     // Also without a request for it: the first unreachable point, not the farthest one.
     let before_m = tip_m(&daemon);
     let far = "ref line --start 0,0,0.85 --velocity 0,0,0.1 --duration 2s --track";
     let reported = daemon
         .place()
-        .says(&format!("cdcrctl {far}"), 1, &["first point"]);
+        .checked(&format!("cdcrctl {far}"), 1, &["first point"]);
     let (_, after) = reported.split_once("at ").unwrap();
     let time_s: f64 = after.split(' ').next().unwrap().parse().unwrap();
     // The robot is 0.9 m long, and 1 mm is allowed.
@@ -147,25 +149,25 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     assert!(distance_m(tip_m(&daemon), before_m) < 0.01, "{reported}");
     // The approach may end before the spiral begins; it still counts.
     let spiral = "ref spiral --track --lead 1s --max-error 100mm";
-    let reported = until_undisturbed(spiral, || says_unless_stalled(&daemon, spiral));
+    let reported = until_undisturbed(spiral, || checked_unless_stalled(&daemon, spiral));
     assert!(reported.contains("approached in"), "{reported}");
 }
 
 /// Output of a command that succeeds, and the largest speed of the tip meanwhile \[m/s\].
-fn says_and_speed(daemon: &Daemon, line: &str) -> (String, f64) {
+fn output_and_speed(daemon: &Daemon, line: &str) -> (String, f64) {
     let mut telemetry = daemon.connect().telemetry().unwrap();
     let mut before = wait_record(&mut telemetry, |_| true);
     std::thread::scope(|scope| {
-        let saying = scope.spawn(|| says(daemon, line, 0));
+        let running = scope.spawn(|| checked(daemon, line, 0));
         let mut fastest_m_s = 0.0_f64;
-        while !saying.is_finished() {
+        while !running.is_finished() {
             let record = wait_record(&mut telemetry, |_| true);
             let way_m = distance_m(record.tip_position_m, before.tip_position_m);
             let time_s = (record.release_ns - before.release_ns) as f64 * 1e-9;
             fastest_m_s = fastest_m_s.max(way_m / time_s);
             before = record;
         }
-        (saying.join().unwrap(), fastest_m_s)
+        (running.join().unwrap(), fastest_m_s)
     })
 }
 
@@ -174,11 +176,11 @@ fn a_curve_begins_without_a_jump_where_the_tip_is_brought_to_its_first_point() {
     // With immediate tracking, it moves at its largest rates.
     let daemon = Daemon::ideal(PATIENT);
     let curve = "ref line --start 0.1,0,0.85 --velocity 0,0.03,0 --duration 300ms --track";
-    let (_, jumps_m_s) = says_and_speed(&daemon, &format!("{curve} --max-error 1m"));
+    let (_, jumps_m_s) = output_and_speed(&daemon, &format!("{curve} --max-error 1m"));
     // For a path at 0.05 m/s; after a stall of the machine, the tip catches up.
     until_undisturbed("the tip moves slowly", || {
-        says(&daemon, "goto 0.02,0,0.89 --speed 0.5 --acceleration 5", 0);
-        let (reported, blends_m_s) = says_and_speed(&daemon, &format!("{curve} --blend"));
+        checked(&daemon, "goto 0.02,0,0.89 --speed 0.5 --acceleration 5", 0);
+        let (reported, blends_m_s) = output_and_speed(&daemon, &format!("{curve} --blend"));
         assert!(reported.contains("mm from the point"), "{reported}");
         assert!(reported.contains("tracked to its end"), "{reported}");
         println!("{jumps_m_s} m/s, {blends_m_s} m/s");
@@ -189,8 +191,8 @@ fn a_curve_begins_without_a_jump_where_the_tip_is_brought_to_its_first_point() {
 #[test]
 fn a_daemon_that_simulates_its_robot_itself_has_no_place_for_another() {
     let daemon = Daemon::start(PATIENT);
-    assert!(says(&daemon, "plant", 1).contains("already measured"));
-    let printed = says(&daemon, "plant --force", 1);
+    assert!(checked(&daemon, "plant", 1).contains("already measured"));
+    let printed = checked(&daemon, "plant --force", 1);
     assert!(printed.contains("link.kind"), "{printed}");
 }
 
@@ -209,7 +211,7 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
         let mut points = ["0.05,0.02,0.87", "0.02,0.05,0.87"].iter().cycle();
         until_undisturbed("the tip goes to a point", || {
             // A stall at the end of the path leaves the robot where its motors had brought it.
-            says_unless_stalled(&daemon, &format!("goto {} {fast}", points.next().unwrap()))
+            checked_unless_stalled(&daemon, &format!("goto {} {fast}", points.next().unwrap()))
         });
         plant.signal(Signal::INT);
         let output = plant.output();
@@ -225,7 +227,7 @@ fn a_simulated_robot_may_be_another_one_than_is_configured() {
     let daemon = Daemon::start(&format!(
         "{PATIENT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n"
     ));
-    let refused = says(&daemon, "plant --section 0.31,0.0125,0", 1);
+    let refused = checked(&daemon, "plant --section 0.31,0.0125,0", 1);
     assert!(refused.contains("1 section given"), "{refused}");
     let sections = "--section 0.31,0.0125,0 --section 0.29,0.0125,0.7 --section 0.32,0.0125,1.4";
     let line = format!(
@@ -241,7 +243,7 @@ fn a_simulated_robot_may_be_another_one_than_is_configured() {
 
 /// Each of a thousand commands a second may be rejected; the terminal gets one line in ten seconds.
 #[test]
-fn a_simulated_robot_that_follows_nothing_says_so_once() {
+fn a_simulated_robot_that_follows_nothing_is_reported_once() {
     let daemon = Daemon::start(&format!(
         "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"position\"\nmeasurement_timeout_ms = 300.0\n"
     ));
@@ -251,11 +253,11 @@ fn a_simulated_robot_that_follows_nothing_says_so_once() {
     // The robot may still be on its way to where it is held.
     wait_until_the_tip_rests(&daemon);
     until_undisturbed("the tip goes to a point", || {
-        says_unless_stalled(&daemon, "goto 0.1,0,0.85 --speed 0.2 --max-error 20mm")
+        checked_unless_stalled(&daemon, "goto 0.1,0,0.85 --speed 0.2 --max-error 20mm")
     });
     robot.signal(Signal::KILL);
     wait_mode(&mut telemetry, Mode::Faulted);
-    let stopped = says(&daemon, "jog 0.01,0,0", 1);
+    let stopped = checked(&daemon, "jog 0.01,0,0", 1);
     assert!(
         stopped.contains("faulted (the measurement is lost)"),
         "{stopped}"
@@ -277,8 +279,8 @@ fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
     let bent = "[link]\ninitial_bend_rad = [[1.2, 0.0], [1.2, 0.0], [1.2, 0.0]]\n";
     let slow = "[motion]\nhome_rate_rad_s = 0.02\n";
     let daemon = Daemon::start(&format!("{PATIENT}{bent}{slow}"));
-    says(&daemon, "home", 0);
-    let refused = says(&daemon, "jog 0.01,0,0.01 --max-error 10mm", 1);
+    checked(&daemon, "home", 0);
+    let refused = checked(&daemon, "jog 0.01,0,0.01 --max-error 10mm", 1);
     let reason = "the tip moves, or has moved while the path was computed; nothing was sent";
     assert!(refused.contains(reason), "{refused}");
     let status = daemon.connect().status(cdcr_tests::TIMEOUT).unwrap();
@@ -307,8 +309,8 @@ fn a_way_beside_another_clients_reference_is_refused_by_its_lease() {
         if fed.status.code() != Some(130) || !text(&way).contains(reason) {
             return None;
         }
-        assert_says(&way, 1, &[]);
-        assert_says(&fed, 130, &["the daemon holds"]);
+        assert_output(&way, 1, &[]);
+        assert_output(&fed, 130, &["the daemon holds"]);
         Some(())
     });
 }
@@ -327,7 +329,7 @@ fn a_reference_with_an_outlier_was_not_followed() {
         .write("path.csv", &format!("t_s,x_m,y_m,z_m\n{rows}"));
     // A stall takes the tip off its path elsewhere, or ends the tracking.
     until_undisturbed("the tip leaves the reference at the outlier", || {
-        says_unless_stalled(&daemon, "goto 0.1,0,0.85 --speed 0.2 --acceleration 2")?;
+        checked_unless_stalled(&daemon, "goto 0.1,0,0.85 --speed 0.2 --acceleration 2")?;
         let file = "cdcrctl ref file path.csv --track";
         let output = daemon.place().start(file).output();
         let refused = text(&output);
@@ -336,7 +338,7 @@ fn a_reference_with_an_outlier_was_not_followed() {
         let time_s: f64 = place.split(' ').next()?.parse().ok()?;
         let is_there = (time_s - 2.0).abs() < 0.06;
         let is_named = is_there && place.contains("0.8500) m, more than 50 mm");
-        is_named.then(|| assert_says(&output, 1, &[]))
+        is_named.then(|| assert_output(&output, 1, &[]))
     });
 }
 
@@ -347,7 +349,7 @@ fn a_reference_that_ends_before_it_is_reached_is_an_error() {
     let far = "ref line --start 0.35,0,0.7 --duration 500ms --lead 1s --track";
     let output = daemon.place().start(&format!("cdcrctl {far}")).output();
     let parts = ["mm away, did not reach the reference in", "cdcrctl goto"];
-    assert_says(&output, 1, &parts);
+    assert_output(&output, 1, &parts);
 }
 
 #[test]
@@ -356,8 +358,8 @@ fn obstacles_are_where_they_will_be_when_a_reference_is_tried() {
         let daemon = Daemon::start(PATIENT);
         let ball =
             format!("obstacle add --id 1 --at 0.3,0,0.4 --radius 0.02 --velocity {velocity}");
-        says(&daemon, &ball, 0);
-        let tried = says(&daemon, "ref spiral --duration 1s --lead 30s --dry-run", 0);
+        checked(&daemon, &ball, 0);
+        let tried = checked(&daemon, "ref spiral --duration 1s --lead 30s --dry-run", 0);
         let (_, rest) = tried.split_once("clearance ").expect("a clearance");
         let number = rest.split_whitespace().next().expect("a number");
         number.parse::<f64>().expect("in mm")
@@ -372,21 +374,21 @@ fn obstacles_are_where_they_will_be_when_a_reference_is_tried() {
 fn a_daemon_that_is_stopped_before_its_first_measurement_waits_for_one() {
     let driver = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\n";
     let daemon = Daemon::start(&format!("{PATIENT}{driver}"));
-    says(&daemon, "stop", 0);
-    let refused = says(&daemon, "reset", 1);
+    checked(&daemon, "stop", 0);
+    let refused = checked(&daemon, "reset", 1);
     assert!(refused.contains("its line reset"), "{refused}");
     let cause = "is refused now: the measurement is lost";
     wait_until("the status names the cause", || {
-        says(&daemon, "status", 0).contains(cause)
+        checked(&daemon, "status", 0).contains(cause)
     });
-    assert!(says(&daemon, "calibrate noise", 1).contains("cdcrctl reset"));
+    assert!(checked(&daemon, "calibrate noise", 1).contains("cdcrctl reset"));
     // Nothing has measured it: a simulated robot needs no force.
     let mut plant = daemon.place().start("cdcrctl plant");
     wait_until("a reset is accepted", || {
         daemon.place().cdcrctl(&["reset"]).status.success()
     });
     plant.signal(Signal::INT);
-    assert_says(&plant.output(), 0, &["a simulated robot"]);
+    assert_output(&plant.output(), 0, &["a simulated robot"]);
 }
 
 #[test]
@@ -396,8 +398,8 @@ fn a_simulated_robot_is_refused_beside_a_driver() {
     let _driver = DriverProcess::start(daemon.place());
     let mut telemetry = daemon.connect().telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
-    assert!(says(&daemon, "plant", 1).contains("already measured"));
-    let refused = says(&daemon, "plant --force", 1);
+    assert!(checked(&daemon, "plant", 1).contains("already measured"));
+    let refused = checked(&daemon, "plant --force", 1);
     assert!(
         refused.contains("the daemon rejects this robot"),
         "{refused}"

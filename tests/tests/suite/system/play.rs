@@ -6,7 +6,7 @@ use cdcr_client::{Connection, Spiral};
 use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, TIMEOUT, ask_for, assert_says, ball, text, track, wait_record, wait_status,
+    Daemon, PATIENT, TIMEOUT, ask_for, assert_output, ball, text, track, wait_record, wait_status,
 };
 use rustix::process::Signal;
 
@@ -37,7 +37,7 @@ pub(super) fn record_beside(
     };
     track(&connection, &curve);
     recorder.signal(Signal::INT);
-    assert_says(&recorder.output(), 0, &["run.mcap", "1 obstacle update,"]);
+    assert_output(&recorder.output(), 0, &["run.mcap", "1 obstacle update,"]);
     daemon.place().folder().join("run.mcap")
 }
 
@@ -46,8 +46,8 @@ fn recorded() -> (Daemon, PathBuf) {
     let daemon = Daemon::start(PATIENT);
     let file = record_beside(&daemon, 7, [0.4, 0.0, 0.5], |_| ());
     let place = daemon.place();
-    place.says("cdcrctl obstacle clear", 0, &[]);
-    place.says("cdcrctl home --wait", 0, &[]);
+    place.checked("cdcrctl obstacle clear", 0, &[]);
+    place.checked("cdcrctl home --wait", 0, &[]);
     (daemon, file)
 }
 
@@ -69,7 +69,7 @@ fn references_and_obstacles_of_a_recording_are_fed_again_and_the_robot_holds() {
     let late = wait_record(&mut telemetry, |record| record.mode == Mode::Holding.code());
     let moved = (0..3).any(|i| (late.tip_position_m[i] - begin_m[i]).abs() > 1e-3);
     assert!(moved, "{:?}", late.tip_position_m);
-    let reported = assert_says(
+    let reported = assert_output(
         &player.output(),
         0,
         &[
@@ -108,15 +108,15 @@ fn what_cannot_be_fed_again_is_refused_before_anything_moves() {
                    bend_max_rad = 2.8\nrate_max_rad_s = 2.0\nbody_radius_m = 0.015\n";
     let other = Daemon::start(&format!("{PATIENT}{section}"));
     let play = format!("cdcrctl replay {}", file.display());
-    other.place().says(&play, 1, &["another robot"]);
+    other.place().checked(&play, 1, &["another robot"]);
     place.write("empty.mcap", "");
-    place.says("cdcrctl replay empty.mcap", 1, &["the file is empty"]);
-    place.says("cdcrctl replay run.mcap --speed 9", 2, &["0.1 and 4"]);
-    place.says(
+    place.checked("cdcrctl replay empty.mcap", 1, &["the file is empty"]);
+    place.checked("cdcrctl replay run.mcap --speed 9", 2, &["0.1 and 4"]);
+    place.checked(
         "cdcrctl replay run.mcap --speed 2 --verify",
         2,
         &["--verify"],
     );
     ask_for(&daemon.connect(), RequestKind::Stop);
-    place.says("cdcrctl replay run.mcap", 1, &["cdcrctl reset"]);
+    place.checked("cdcrctl replay run.mcap", 1, &["cdcrctl reset"]);
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_says, text, wait_status, wait_until,
+    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_output, text, wait_status, wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value;
@@ -22,7 +22,7 @@ fn start(place: &Place, line: &str) -> Program {
 
 /// Runs a command that must succeed, and returns its output.
 fn good(place: &Place, line: &str) -> String {
-    place.says(&format!("cdcrctl {line}"), 0, &[])
+    place.checked(&format!("cdcrctl {line}"), 0, &[])
 }
 
 fn status(place: &Place) -> Value {
@@ -36,7 +36,7 @@ fn a_reference_is_fed_tracked_and_played_to_its_end() {
     let place = daemon.place();
     let line = format!("{SHORT_LINE} --axis 0,0,1 --track");
     let output = start(place, &line).output();
-    assert_says(&output, 0, &["line: 61 points", "tracked to its end"]);
+    assert_output(&output, 0, &["line: 61 points", "tracked to its end"]);
     let fed = text(&output);
     assert!(!fed.contains("warning"), "an orientation needs none: {fed}");
     let reason = "the reference ended";
@@ -56,13 +56,13 @@ fn obstacles_are_added_shown_and_removed() {
     // Ideal, because the clearance is compared exactly.
     let daemon = Daemon::ideal(PATIENT);
     let place = daemon.place();
-    let says = |line: &str, part: &str| {
-        place.says(&format!("cdcrctl obstacle {line}"), 0, &[part]);
+    let checked = |line: &str, part: &str| {
+        place.checked(&format!("cdcrctl obstacle {line}"), 0, &[part]);
     };
     let ball = "--at 0.2,0,0.5 --radius 0.05";
-    says(&format!("add --id 1 {ball}"), "accepted, 1 known");
+    checked(&format!("add --id 1 {ball}"), "accepted, 1 known");
     let capsule = format!("add --id 2 {ball} --to 0.2,0.1,0.5");
-    says(&capsule, "accepted, 2 known");
+    checked(&capsule, "accepted, 2 known");
     wait_until("2 obstacles", || status(place)["obstacle_count"] == 2);
     // The robot is straight: 0.2 m to the axis, less the radii of ball and body.
     let clearance_m = status(place)["clearance_m"].as_f64().unwrap();
@@ -70,12 +70,12 @@ fn obstacles_are_added_shown_and_removed() {
     let table = good(place, "status");
     let shown = "obstacles   2, smallest clearance 135.00 mm as estimated";
     assert!(table.contains(shown), "{table}");
-    says("remove 2", "accepted, 1 known");
-    says("clear", "accepted, 0 known");
+    checked("remove 2", "accepted, 1 known");
+    checked("clear", "accepted, 0 known");
     wait_until("none", || status(place)["clearance_m"].is_null());
     let far = "cdcrctl obstacle add --id 1 --at 9e8,0,0 --radius 1 --far";
     let parts = ["rejected by the daemon", "within ±1000000 m"];
-    place.says(far, 1, &parts);
+    place.checked(far, 1, &parts);
     wait_until("counted", || status(place)["obstacles_refused"] == 1);
 }
 
@@ -105,9 +105,9 @@ fn every_request_is_answered() {
         ("reset", "holding"),
     ] {
         let parts = [": accepted in cycle ", &format!("daemon is {mode}")];
-        place.says(&format!("cdcrctl {request}"), 0, &parts);
+        place.checked(&format!("cdcrctl {request}"), 0, &parts);
     }
-    let printed = place.says("cdcrctl track", 1, &["cdcrctl ref"]);
+    let printed = place.checked("cdcrctl track", 1, &["cdcrctl ref"]);
     assert!(printed.starts_with("error: cannot track"), "{printed}");
 }
 
@@ -199,7 +199,7 @@ fn a_watched_status_is_shown_again_and_again() {
     let mut watch = start(daemon.place(), "status --watch --format json");
     wait_until("two of them", || watch.lines() > 1);
     watch.signal(Signal::INT);
-    let shown = assert_says(&watch.output(), 0, &[]);
+    let shown = assert_output(&watch.output(), 0, &[]);
     let cycles = shown.lines().map(|line| {
         let status: Value = serde_json::from_str(line).unwrap();
         status["cycles"].as_u64().unwrap()
@@ -251,7 +251,7 @@ fn bad_cycles_are_kept_for_whoever_asks_later() {
         follow.printed().lines().any(frozen)
     });
     follow.signal(Signal::INT);
-    let printed = assert_says(&follow.output(), 0, &[]);
+    let printed = assert_output(&follow.output(), 0, &[]);
     assert!(
         printed
             .lines()
@@ -279,7 +279,7 @@ fn settings_are_shown_and_changed_by_their_keys() {
         &format!("horizon_steps: {} -> 4", before["horizon_steps"]),
         "settings: accepted",
     ];
-    place.says(set, 0, &parts);
+    place.checked(set, 0, &parts);
     // In rapid succession: none reverts the change of the one before.
     good(place, "settings set seed=7");
     good(place, "settings set inertia=0.6");
@@ -292,7 +292,7 @@ fn settings_are_shown_and_changed_by_their_keys() {
     assert_eq!(shown(), expected);
 
     let refused = |change: &str, status, part: &str| {
-        place.says(&format!("cdcrctl settings set {change}"), status, &[part]);
+        place.checked(&format!("cdcrctl settings set {change}"), status, &[part]);
     };
     // More blocks than steps: in the range of the key, but invalid for the daemon.
     let out_of_range = "control_blocks = 5 is out of range: allowed is 0 to 4";

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Command;
 
-use cdcr_tests::{Place, Program, assert_says, binary, text, until_undisturbed};
+use cdcr_tests::{Place, Program, assert_output, binary, text, until_undisturbed};
 
 use crate::own_mounts::{has_own_mounts, mount, name_of};
 
@@ -76,10 +76,10 @@ fn the_demo_runs_in_a_poor_environment_or_reports_what_it_lacks() {
     for files in [16, 32, 48] {
         let mut found = demo(&place, &format!("prlimit --nofile={files}:{files}"), folder);
         let words = [&format!("only {files} files"), "needs 64", "ulimit -n"];
-        assert_says(&found.output(), 1, &words);
+        assert_output(&found.output(), 1, &words);
     }
     let words = ["set TMPDIR to one that can be written"];
-    assert_says(&demo(&place, "env", &missing).output(), 1, &words);
+    assert_output(&demo(&place, "env", &missing).output(), 1, &words);
     // Docker's default, less, and too little.
     for megabytes in [64, 7, 5] {
         if !mount(&format!(
@@ -91,7 +91,7 @@ fn the_demo_runs_in_a_poor_environment_or_reports_what_it_lacks() {
             runs("env");
         } else {
             let words = ["MB are needed", "MB are free", "remount,size="];
-            assert_says(&demo(&place, "env", folder).output(), 1, &words);
+            assert_output(&demo(&place, "env", folder).output(), 1, &words);
         }
         assert!(mount("umount /dev/shm"));
     }

@@ -203,7 +203,7 @@ fn fifty_kills_at_any_moment() {
 const SLOW_STARTS_MAX: usize = 10;
 
 #[test]
-fn a_feeder_is_told_and_feeds_again_on_the_same_connection() {
+fn a_feeder_gets_an_error_and_feeds_again_on_the_same_connection() {
     let is_seen = (0..SLOW_STARTS_MAX).any(|_| sees_the_restart_and_feeds_again());
     assert!(is_seen, "every start of a daemon took more than a second");
 }
@@ -288,7 +288,7 @@ fn a_lease_ends_with_its_daemon_and_an_old_one_does_not_take_a_new_one_along() {
 }
 
 #[test]
-fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
+fn a_stop_reaches_the_next_daemon_or_is_reported_as_lost() {
     let place = place(PATIENT);
     let daemon = begin(&place);
     let connection = connect(&place);

@@ -17,7 +17,7 @@ use cdcr_interchange::mcap::{Channel, Item, Reader, Stamp, Writer};
 use cdcr_interchange::{decode, encode};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::EventKind;
-use cdcr_tests::{PATIENT, Place, TIMEOUT, assert_says, ball, track, until_undisturbed};
+use cdcr_tests::{PATIENT, Place, TIMEOUT, assert_output, ball, track, until_undisturbed};
 use rustix::process::Signal;
 
 use recorded::Recorded;
@@ -83,9 +83,9 @@ fn a_recording_has_every_cycle_and_what_clients_sent() {
     let program = place.command("cdcrctl");
     limited.args(["-c", small]).arg(program.get_program());
     let output = limited.current_dir(place.folder()).output().unwrap();
-    assert_says(&output, 1, &["cannot write into tables", "File too large"]);
+    assert_output(&output, 1, &["cannot write into tables", "File too large"]);
     assert!(!run.file.with_file_name("tables").exists());
-    place.says("cdcrctl convert run.mcap --csv tables", 0, &[]);
+    place.checked("cdcrctl convert run.mcap --csv tables", 0, &[]);
     let table = |name: &str| {
         let path = run.file.with_file_name("tables").join(name);
         let text = fs::read_to_string(path).unwrap();
@@ -136,7 +136,7 @@ fn a_recording_has_every_cycle_and_what_clients_sent() {
 fn a_recording_ends_with_its_daemon() {
     let mut run = Recorded::start(PATIENT);
     run.daemon.stop();
-    assert_says(&run.recorder.output(), 0, &["the daemon ended"]);
+    assert_output(&run.recorder.output(), 0, &["the daemon ended"]);
     assert_eq!(run.info()["cut"], false);
 }
 
@@ -166,7 +166,7 @@ fn of_a_recorder_that_is_killed_the_last_second_is_missing_at_most() {
     // A stalled machine delays the recorder, too; it flushes when it runs.
     assert!(seen_s > all_s - 2.0, "{seen_s} of {all_s} s");
     let place = run.daemon.place();
-    place.says("cdcrctl info run.mcap --repair", 0, &["is truncated"]);
+    place.checked("cdcrctl info run.mcap --repair", 0, &["is truncated"]);
     fs::rename(run.file.with_file_name("run-repaired.mcap"), &run.file).unwrap();
     let repaired = run.info();
     assert_eq!(repaired["cut"], false);

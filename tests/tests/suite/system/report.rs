@@ -19,7 +19,7 @@ fn page() -> (Daemon, String) {
         refused(connection, RequestKind::Track);
     });
     let place = daemon.place();
-    place.says(
+    place.checked(
         "cdcrctl report run.mcap -o run.html",
         0,
         &["run.html", "cycles"],
@@ -110,13 +110,13 @@ fn a_page_is_not_made_of_what_is_no_recording_nor_over_what_exists() {
     let (daemon, _) = page();
     let place = daemon.place();
     place.write("empty.mcap", "");
-    place.says("cdcrctl report empty.mcap", 1, &["the file is empty"]);
+    place.checked("cdcrctl report empty.mcap", 1, &["the file is empty"]);
     assert!(!place.folder().join("empty.html").exists());
     let out = "cdcrctl report run.mcap -o run.mcap";
-    place.says(out, 1, &["is the recording itself"]);
+    place.checked(out, 1, &["is the recording itself"]);
     let again = "cdcrctl report run.mcap -o run.html";
-    place.says(again, 1, &["run.html exists", "another --output"]);
-    place.says("cdcrctl info run.mcap", 0, &["telemetry"]);
+    place.checked(again, 1, &["run.html exists", "another --output"]);
+    place.checked("cdcrctl info run.mcap", 0, &["telemetry"]);
 }
 
 /// A script of this test that reports the results of the page's own script. These are errors, the sections,

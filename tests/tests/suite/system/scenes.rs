@@ -6,7 +6,7 @@ use std::net::UdpSocket;
 use std::process::{Child, Output, Stdio};
 use std::time::Duration;
 
-use cdcr_tests::{Daemon, PATIENT, TIMEOUT, assert_says, wait_status};
+use cdcr_tests::{Daemon, PATIENT, TIMEOUT, assert_output, wait_status};
 use serde_json::Value;
 
 use super::freeze;
@@ -29,9 +29,9 @@ fn ended(child: Child) -> Output {
     child.wait_with_output().unwrap()
 }
 
-fn says(daemon: &Daemon, line: &str, status: i32, part: &str) -> String {
+fn checked(daemon: &Daemon, line: &str, status: i32, part: &str) -> String {
     let line = format!("cdcrctl {line}");
-    daemon.place().says(&line, status, &[part])
+    daemon.place().checked(&line, status, &[part])
 }
 
 #[test]
@@ -44,35 +44,35 @@ fn figures_are_tried_and_followed() {
         "polygon",
     ] {
         let line = format!("ref {figure} --radius 0.02 --speed 0.15 --dry-run");
-        says(&daemon, &line, 0, "tip error");
+        checked(&daemon, &line, 0, "tip error");
     }
-    says(
+    checked(
         &daemon,
         "ref polygon --radius 0.5 --speed 1 --dry-run",
         1,
         "not reachable: at",
     );
-    says(
+    checked(
         &daemon,
         "ref polygon --radius 0.02 --speed 2 --dry-run",
         1,
         "too fast, or obstructed: at",
     );
     let both = "ref polygon --radius 0.02 --blend --dry-run";
-    says(&daemon, both, 2, "cannot be used with");
+    checked(&daemon, both, 2, "cannot be used with");
     for of_mm in ["goto 0.1,0,0.8 --speed 50", "ref rose --speed 50"] {
-        says(&daemon, of_mm, 2, "is it in mm/s?");
+        checked(&daemon, of_mm, 2, "is it in mm/s?");
     }
     let line =
         "ref polygon --corners 3 --centre 0,0,0.88 --radius 0.01 --repeat 8 --track --lead 1s";
-    says(&daemon, line, 0, "tracked to its end");
+    checked(&daemon, line, 0, "tracked to its end");
 
     let mut path = piped(&daemon, "ref stdin --track --lead 1s");
     write(&mut path, "t_s,x_m,y_m,z_m\n0,0,0,0.89\n3,0,0.001,0.89\n");
-    assert_says(&ended(path), 0, &["standard input: 2 points"]);
+    assert_output(&ended(path), 0, &["standard input: 2 points"]);
     let mut path = piped(&daemon, "ref stdin --track");
     write(&mut path, "t_s,x_m,y_m,z_m\n0,0,0,0.89\n0,0,0.001,0.89\n");
-    assert_says(&ended(path), 1, &["standard input:3"]);
+    assert_output(&ended(path), 1, &["standard input:3"]);
 }
 
 #[test]
@@ -85,12 +85,12 @@ fn a_scene_is_played_from_a_file() {
     );
     place.write("scene.json", &scene);
     let played = "4 changes accepted, 1 known";
-    says(&daemon, "obstacle file scene.json", 0, played);
+    checked(&daemon, "obstacle file scene.json", 0, played);
     // The output of the list is a scene, too.
-    let list = says(&daemon, "obstacle list --format json", 0, "\"id\": 3");
+    let list = checked(&daemon, "obstacle list --format json", 0, "\"id\": 3");
     place.write("list.json", &list);
-    says(&daemon, "obstacle clear", 0, "0 known");
-    says(&daemon, "obstacle file list.json", 0, "1 known");
+    checked(&daemon, "obstacle clear", 0, "0 known");
+    checked(&daemon, "obstacle file list.json", 0, "1 known");
     // Everything is checked before anything is sent.
     for (bad, part) in [
         ("{\"id\": 5}\n", "line 5: missing field `start_m`"),
@@ -101,11 +101,11 @@ fn a_scene_is_played_from_a_file() {
         ),
     ] {
         place.write("bad.json", &format!("{scene}{bad}"));
-        says(&daemon, "obstacle file bad.json", 1, part);
+        checked(&daemon, "obstacle file bad.json", 1, part);
     }
     place.write("empty.json", "\n");
-    says(&daemon, "obstacle file empty.json", 1, "no obstacle");
-    says(&daemon, "obstacle list", 0, "3  sphere");
+    checked(&daemon, "obstacle file empty.json", 1, "no obstacle");
+    checked(&daemon, "obstacle list", 0, "3  sphere");
 }
 
 #[test]
@@ -119,20 +119,20 @@ fn obstacles_are_taken_as_a_program_writes_them() {
         wait_status(&connection, |status| status.obstacle_count == id);
     }
     write(&mut camera, "\n{\"remove\": [1, 2]}\n");
-    assert_says(&ended(camera), 0, &["4 changes accepted", "1 known"]);
+    assert_output(&ended(camera), 0, &["4 changes accepted", "1 known"]);
 
     let mut camera = piped(&daemon, "obstacle stdin");
     write(&mut camera, "{\"remove\": [3]}\n{\"id\": 7\n");
-    assert_says(&ended(camera), 1, &["standard input: line 2"]);
+    assert_output(&ended(camera), 1, &["standard input: line 2"]);
     wait_status(&connection, |status| status.obstacle_count == 0);
 
     // What was not sent says nothing about what is known.
     let output = ended(piped(&daemon, "obstacle stdin"));
-    assert!(!assert_says(&output, 0, &["0 changes accepted"]).contains("known"));
+    assert!(!assert_output(&output, 0, &["0 changes accepted"]).contains("known"));
     let mut endless = daemon.place().command("cdcrctl");
     let zeros = File::open("/dev/zero").unwrap();
     let output = endless.args(["obstacle", "stdin"]).stdin(zeros).output();
-    assert_says(
+    assert_output(
         &output.unwrap(),
         1,
         &["line 1: it is longer than 65536 bytes"],
@@ -144,7 +144,7 @@ fn obstacles_are_taken_as_a_program_writes_them() {
         &mut camera,
         "{\"id\": 1, \"start_m\": [0.5, 0, 0.5], \"radius_m\": 0.02, \"measured_ns\": 1795710684705428294}\n",
     );
-    assert_says(&ended(camera), 1, &["line 1: ", "CLOCK_MONOTONIC"]);
+    assert_output(&ended(camera), 1, &["line 1: ", "CLOCK_MONOTONIC"]);
 
     // The daemon ends while the program waits for a line.
     let mut camera = piped(&daemon, "obstacle stdin");
@@ -157,7 +157,7 @@ fn obstacles_are_taken_as_a_program_writes_them() {
     daemon.stop();
     let output = ended(camera);
     drop(stdin);
-    assert_says(&output, 1, &["daemon"]);
+    assert_output(&output, 1, &["daemon"]);
 }
 
 /// The rate in a line of `hz`.
@@ -176,9 +176,9 @@ fn a_daemon_that_stood_still_is_not_counted_as_silent() {
     freeze(&daemon, Duration::from_millis(1300));
     let line = lines.next().unwrap().unwrap();
     assert!(rate_hz(&line) > 0.0, "{line}");
-    assert_says(&ended(hz), 0, &[]);
+    assert_output(&ended(hz), 0, &[]);
     // Without a feed, the rate is zero.
-    let printed = says(&daemon, "hz reference --count 1", 0, "messages/s");
+    let printed = checked(&daemon, "hz reference --count 1", 0, "messages/s");
     assert!(
         rate_hz(printed.lines().nth(1).unwrap()).abs() < 1e-9,
         "{printed}"
@@ -188,16 +188,16 @@ fn a_daemon_that_stood_still_is_not_counted_as_silent() {
 #[test]
 fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
     let daemon = Daemon::start(PATIENT);
-    let printed = says(&daemon, "hz status --count 1", 0, "messages/s");
+    let printed = checked(&daemon, "hz status --count 1", 0, "messages/s");
     assert!(rate_hz(printed.lines().nth(1).unwrap()) > 0.0, "{printed}");
 
     let line = "echo telemetry --count 1 --field tip_position_m.0 --field obstacles.9.id";
-    let printed = says(&daemon, line, 0, "tip_position_m.0\tobstacles.9.id");
+    let printed = checked(&daemon, line, 0, "tip_position_m.0\tobstacles.9.id");
     assert!(printed.trim_end().ends_with("\tnull"), "{printed}");
     let line = "echo status --count 1 --field robot.sections.9.name";
-    says(&daemon, line, 1, "robot.sections has 3 elements");
+    checked(&daemon, line, 1, "robot.sections has 3 elements");
     let line = "echo telemetry --count 1 --field tip";
-    says(&daemon, line, 1, "unknown field \"tip\"");
+    checked(&daemon, line, 1, "unknown field \"tip\"");
     let words: Vec<_> = line.split(' ').collect();
     let printed = daemon.place().cdcrctl(&words).stdout;
     assert!(printed.is_empty(), "a heading");
@@ -205,7 +205,7 @@ fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
     let plotter = UdpSocket::bind("127.0.0.1:0").unwrap();
     plotter.set_read_timeout(Some(TIMEOUT)).unwrap();
     let line = format!("plot --count 3 --udp {}", plotter.local_addr().unwrap());
-    says(&daemon, &line, 0, "");
+    checked(&daemon, &line, 0, "");
     let mut packet = [0; 4096];
     let mut last_s = 0.0;
     for _ in 0..3 {
@@ -218,14 +218,14 @@ fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
         assert!(time_s > last_s);
         last_s = time_s;
     }
-    says(&daemon, "plot --udp nowhere", 1, "expected HOST:PORT");
-    says(&daemon, "plot --udp localhost:99999", 1, "invalid port");
-    says(
+    checked(&daemon, "plot --udp nowhere", 1, "expected HOST:PORT");
+    checked(&daemon, "plot --udp localhost:99999", 1, "invalid port");
+    checked(
         &daemon,
         "plot --udp 127.0.0.1:0",
         1,
         "cannot send to 127.0.0.1:0",
     );
     let whole = "plot status --count 1 --udp 127.0.0.1:9";
-    says(&daemon, whole, 1, "select fields with --field");
+    checked(&daemon, whole, 1, "select fields with --field");
 }

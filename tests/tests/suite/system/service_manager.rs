@@ -75,7 +75,7 @@ fn heard_by(manager: &ServiceManager) -> Vec<String> {
 }
 
 #[test]
-fn a_life_is_told_from_ready_to_stopping() {
+fn the_service_manager_is_notified_from_ready_to_stopping() {
     let mut managed = Managed::start();
     let mut heard = Vec::new();
     for what in ["READY=1", "STATUS=", "WATCHDOG=1", "WATCHDOG=1"] {

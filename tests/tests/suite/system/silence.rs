@@ -9,7 +9,7 @@ use cdcr_client::{
 };
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, ROBOT, TIMEOUT, assert_says, text, tracked, until_undisturbed, wait_status,
+    Daemon, PATIENT, ROBOT, TIMEOUT, assert_output, text, tracked, until_undisturbed, wait_status,
     wait_until,
 };
 use rustix::process::Signal;
@@ -101,13 +101,13 @@ fn a_recording_of_a_stopped_daemon_goes_on_when_it_wakes() {
     let before = wait_status(&connection, |_| true);
     wait_status(&connection, |status| status.cycles > before.cycles + 20);
     recorder.signal(Signal::INT);
-    let reported = assert_says(&recorder.output(), 0, &["run.mcap"]);
+    let reported = assert_output(&recorder.output(), 0, &["run.mcap"]);
     assert!(!reported.contains("the daemon ended"), "{reported}");
 }
 
 /// Like the first trial of a new user: only the robot is configured.
 #[test]
-fn a_simulated_robot_goes_on_after_misses_and_the_daemon_says_so() {
+fn a_simulated_robot_goes_on_after_misses_and_the_daemon_warns() {
     let mut daemon = Daemon::start("");
     let connection = daemon.connect();
     freeze(&daemon, Duration::from_secs(1));

@@ -54,7 +54,7 @@ fn a_service_of_the_same_size_and_another_version_is_refused_and_not_misread() {
         ours,
         "of the same version",
     ];
-    place.says("cdcrctl status", 1, &parts);
+    place.checked("cdcrctl status", 1, &parts);
 }
 
 #[test]

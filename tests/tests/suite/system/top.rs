@@ -154,7 +154,7 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
 }
 
 #[test]
-fn a_daemon_that_ends_is_told_of_and_the_next_one_is_watched() {
+fn a_daemon_that_ends_is_reported_and_the_next_one_is_watched() {
     // A period that a stall does not fill: late cycles would displace the awaited event from the list. One of
     // them is not a lost measurement.
     let mut daemon =
@@ -187,11 +187,11 @@ fn a_terminal_that_is_closed_ends_what_is_on_it() {
 }
 
 #[test]
-fn without_a_terminal_it_says_what_else_there_is() {
+fn without_a_terminal_it_names_the_alternatives() {
     let daemon = Daemon::start("");
     daemon
         .place()
-        .says("cdcrctl top", 1, &["needs a terminal", "--format json"]);
+        .checked("cdcrctl top", 1, &["needs a terminal", "--format json"]);
 }
 
 #[test]

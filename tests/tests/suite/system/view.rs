@@ -8,7 +8,7 @@ use cdcr_client::channels::{Drawn, Topic};
 use cdcr_interchange::standard::{MarkerArray, PoseStamped};
 use cdcr_interchange::{cdr, decode, mcap};
 use cdcr_shared_types::Telemetry;
-use cdcr_tests::{Daemon, PATIENT, Program, TIMEOUT, assert_says, wait_until};
+use cdcr_tests::{Daemon, PATIENT, Program, TIMEOUT, assert_output, wait_until};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest;
@@ -132,7 +132,7 @@ fn a_viewer_gets_the_channels_of_a_recording_and_what_they_hold() {
     daemon.stop();
     std::thread::sleep(Duration::from_millis(100));
     view.signal(Signal::INT);
-    assert_says(&view.output(), 0, &["serving"]);
+    assert_output(&view.output(), 0, &["serving"]);
 }
 
 #[test]
@@ -157,7 +157,7 @@ fn what_it_was_too_slow_for_is_reported() {
         decode(&next(&mut socket, 0).1, &mut record).unwrap();
     }
     view.signal(Signal::INT);
-    assert_says(&view.output(), 0, &["lost ", "too slow"]);
+    assert_output(&view.output(), 0, &["lost ", "too slow"]);
 }
 
 #[test]
@@ -166,7 +166,7 @@ fn a_port_that_is_taken_is_named() {
     let (_view, port) = serve(&daemon);
     let line = format!("cdcr-view --port {port}");
     let says = ["error: cannot listen on 127.0.0.1", "--port names another"];
-    daemon.place().says(&line, 1, &says);
+    daemon.place().checked(&line, 1, &says);
 }
 
 /// There is no viewer here to open the layouts; at least, each message and field in them exists.

@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn the_line_says_which_daemon_is_meant() {
+    fn the_command_line_selects_the_daemon() {
         for line in [
             "cdcrctl --root /x/y --prefix p_ obstacle remove",
             "cdcrctl obstacle remove 3 --root /x/y --prefix p_ --robot",

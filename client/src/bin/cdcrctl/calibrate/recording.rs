@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_told_with_line_and_column() {
+    fn an_error_has_line_and_column() {
         const HEADER: &str = "t_s,cable_1_m,cable_2_m,cable_3_m,x_m,y_m,z_m";
         for (text, words) in [
             (

@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_measured_is_told_from_a_record() {
+    fn the_measured_quantities_are_read_from_a_record() {
         let mut record = Telemetry::default();
         for (kind, tip_measured_ns, cables, tip) in [
             (MeasurementKind::None, 0, false, false),

@@ -200,7 +200,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_bare_loop_that_failed_leaves_a_report_that_says_so() {
+    fn the_report_names_a_bare_loop_that_failed() {
         let (cycles, _) = synthetic(10);
         let run = Run {
             baseline: Err("cdcrd bare failed (exit status: 1)".to_owned()),

@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_path_leads_to_its_value_or_says_what_there_is() {
+    fn a_path_leads_to_its_value_or_lists_the_known_ones() {
         let message =
             json!({"cycle": 7, "mode": "tracking", "tip": [1.0, null], "report": {"cost": 2.5}});
         let good = paths(&["cycle", "mode", "tip.1", "tip.9", "report.cost", "tip"]);

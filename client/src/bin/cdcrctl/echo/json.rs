@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn statistics_name_their_causes_and_a_record_says_why_it_was_late() {
+    fn statistics_name_their_causes_and_a_record_has_the_cause_of_its_lateness() {
         let mut snapshot = Status::default();
         snapshot.last_minute.causes[LateCause::Load.code() as usize] = 7;
         snapshot.since_reset.gather.p99_ns = 8;

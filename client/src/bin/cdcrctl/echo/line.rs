@@ -323,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn an_incident_tells_when_what_and_why() {
+    fn an_incident_has_time_kind_and_cause() {
         let mut bad = Incident {
             steal_ns: 20_000_000,
             steal_window_ns: 100_000_000,

@@ -2,7 +2,7 @@ use super::*;
 use cdcr_shared_types::codes::realtime;
 
 #[test]
-fn the_table_says_what_matters() {
+fn the_table_shows_the_essential_values() {
     let mut status = Status {
         mode: Mode::Tracking.code(),
         realtime_missing: realtime::FIFO,
@@ -112,7 +112,7 @@ fn a_silent_source_of_obstacles_is_shown_with_the_time_since() {
 }
 
 #[test]
-fn a_daemon_that_waits_for_its_driver_says_what_it_refused() {
+fn a_daemon_that_waits_for_its_driver_shows_what_it_refused() {
     let mut status = Status {
         mode: Mode::Starting.code(),
         ..Status::default()

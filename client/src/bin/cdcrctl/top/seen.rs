@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn what_changes_is_told_once_and_the_rate_is_that_of_the_last_second() {
+    fn a_change_is_shown_once_and_the_rate_is_that_of_the_last_second() {
         let mut seen = Seen::default();
         for cycle in 0..500 {
             let mut record = record(cycle, 1);

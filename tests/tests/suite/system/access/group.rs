@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use cdcr_shared_types::Location;
-use cdcr_tests::{PATIENT, Place, Program, assert_says, binary, text, wait_until};
+use cdcr_tests::{PATIENT, Place, Program, assert_output, binary, text, wait_until};
 use rustix::fs::{XattrFlags, getxattr, setxattr};
 use rustix::process::Signal;
 
@@ -140,17 +140,17 @@ fn a_member_of_the_group_observes_feeds_and_commands_and_no_other_does() {
         ("reset", "accepted"),
     ] {
         let refusal = shared.asked(NOBODY, words);
-        assert_says(&refusal, 1, &["belongs to user 64320", "transport.group"]);
-        assert_says(&shared.asked(GROUP, words), 0, &[printed]);
+        assert_output(&refusal, 1, &["belongs to user 64320", "transport.group"]);
+        assert_output(&shared.asked(GROUP, words), 0, &[printed]);
     }
     // Root could be led out of the folder, too.
     let refusal = shared.cdcrctl(GROUP, "status").uid(0).output().unwrap();
-    assert_says(&refusal, 1, &["belongs to user 64320"]);
+    assert_output(&refusal, 1, &["belongs to user 64320"]);
     let files = files_below(&shared.root);
     assert!(files.len() > 20, "{}", files.len());
     assert_eq!(attempts(&files, NOBODY), Vec::<String>::new());
     daemon.signal(Signal::TERM);
-    assert_says(&daemon.output(), 0, &[]);
+    assert_output(&daemon.output(), 0, &[]);
     assert_eq!(shared.left(), Vec::<PathBuf>::new());
 }
 
@@ -197,13 +197,13 @@ fn a_folder_that_was_open_to_a_group_is_refused_without_it_until_it_is_closed() 
         daemon.output();
     }
     let refused = Program::start(&mut shared.daemon(&shared.root, "")).output();
-    assert_says(&refused, EXIT_ROOT, &["mode 0770", "chmod go-rwx"]);
+    assert_output(&refused, EXIT_ROOT, &["mode 0770", "chmod go-rwx"]);
     fs::set_permissions(&shared.root, Permissions::from_mode(0o700)).unwrap();
     let mut daemon = shared.running("");
     let refusal = shared.asked(GROUP, "status");
-    assert_says(&refusal, 1, &["belongs to user 64320"]);
+    assert_output(&refusal, 1, &["belongs to user 64320"]);
     daemon.signal(Signal::TERM);
-    assert_says(&daemon.output(), 0, &[]);
+    assert_output(&daemon.output(), 0, &[]);
 }
 
 #[test]
@@ -217,7 +217,7 @@ fn who_may_use_a_folder_does_not_change_under_a_daemon() {
         let mut command = shared.daemon(&shared.root, second);
         let refused = Program::start(command.args(["--robot", "other"])).output();
         let process = format!("\"{}\" (process {})", cdcr_tests::ROBOT, daemon.id());
-        assert_says(
+        assert_output(
             &refused,
             EXIT_ROOT,
             &[&process, "transport.group", "--root"],
@@ -230,7 +230,7 @@ fn who_may_use_a_folder_does_not_change_under_a_daemon() {
             );
         }
         daemon.signal(Signal::TERM);
-        assert_says(&daemon.output(), 0, &[]);
+        assert_output(&daemon.output(), 0, &[]);
         // The daemon has ended, but members of the group may have left files.
         fs::set_permissions(&shared.root, Permissions::from_mode(0o700)).unwrap();
     }
@@ -266,17 +266,17 @@ fn a_group_shares_no_folder_that_somebody_else_could_have_made() {
     let group = GROUP.to_string();
     let refused = Program::start(&mut shared.daemon(&root, &group)).output();
     let words = ["owned by root", "install -d -o", "transport.group"];
-    assert_says(&refused, EXIT_ROOT, &words);
+    assert_output(&refused, EXIT_ROOT, &words);
     // Root shares no folder: it could be led out of it.
     let mut of_root = shared.daemon(&shared.root, &group);
     chown(&shared.root, Some(0), Some(0)).unwrap();
     let refused = Program::start(of_root.uid(0).gid(0)).output();
-    assert_says(&refused, EXIT_ROOT, &["runs as root", "transport.group"]);
+    assert_output(&refused, EXIT_ROOT, &["runs as root", "transport.group"]);
     // A client does not trust a root folder of another user in any group, either.
     fs::set_permissions(&root, Permissions::from_mode(0o770)).unwrap();
     chown(&root, None, Some(GROUP)).unwrap();
     let mut client = of_stranger(&shared.cdcrctl, shared.place.location().prefix(), &root);
     let refusal = client.gid(GROUP).arg("status").output().unwrap();
-    assert_says(&refusal, 1, &["belongs to user 64320"]);
+    assert_output(&refusal, 1, &["belongs to user 64320"]);
     fs::remove_dir_all(&root).unwrap();
 }

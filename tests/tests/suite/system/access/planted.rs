@@ -12,7 +12,7 @@ use cdcr_client::Connection;
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::{Location, NameHolder};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_says, binary, in_public_memory, text,
+    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_output, binary, in_public_memory, text,
     wait_status, wait_until,
 };
 use rustix::process::{Signal, Uid};
@@ -35,17 +35,17 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     let remedy = "--root";
     folder_of_stranger(root);
     fs::set_permissions(root, Permissions::from_mode(0o777)).unwrap();
-    place.says("cdcrd run", EXIT_ROOT, &[foreign, remedy]);
+    place.checked("cdcrd run", EXIT_ROOT, &[foreign, remedy]);
     // Owned by this user, but open to all.
     chown(root, Some(0), Some(0)).unwrap();
-    place.says(
+    place.checked(
         "cdcrd run",
         EXIT_ROOT,
         &["mode 0777", "chmod go-rwx", remedy],
     );
     assert_eq!(fs::metadata(root).unwrap().mode() & 0o777, 0o777);
     let words = "every user can write to the root path";
-    place.says("cdcrctl status", 1, &[words]);
+    place.checked("cdcrctl status", 1, &[words]);
     assert_eq!(files_below(root), BTreeSet::new());
     // A link of the other user to a folder of this user.
     let ours = root.with_file_name(format!("{}ours", place.location().prefix()));
@@ -54,12 +54,12 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     symlink(&ours, root).unwrap();
     lchown(root, Some(NOBODY), Some(NOBODY)).unwrap();
     let link = "symbolic link that belongs to user id 65534, not to 0";
-    place.says("cdcrd run", EXIT_ROOT, &[link, remedy]);
+    place.checked("cdcrd run", EXIT_ROOT, &[link, remedy]);
     assert_eq!(files_below(&ours), BTreeSet::new());
     // A link of this user to a folder of the other user.
     lchown(root, Some(0), Some(0)).unwrap();
     chown(&ours, Some(NOBODY), Some(NOBODY)).unwrap();
-    place.says("cdcrd run", EXIT_ROOT, &[foreign, remedy]);
+    place.checked("cdcrd run", EXIT_ROOT, &[foreign, remedy]);
     assert_eq!(files_below(&ours), BTreeSet::new());
     fs::remove_file(root).unwrap();
     fs::remove_dir(&ours).unwrap();
@@ -87,7 +87,7 @@ fn assert_serves(daemon: &Daemon) {
         ("cdcrctl stop", Mode::Stopped),
         ("cdcrctl reset", Mode::Holding),
     ] {
-        daemon.place().says(request, 0, &["accepted"]);
+        daemon.place().checked(request, 0, &["accepted"]);
         wait_status(&connection, |status| status.mode == mode.code());
     }
 }
@@ -182,7 +182,7 @@ fn a_file_in_the_place_of_the_root_folder_keeps_the_daemon_out_with_words() {
     let place = Place::new();
     let root = place.location().root();
     as_stranger(r#": > "$1""#, &[root.to_str().unwrap().to_owned()]);
-    place.says("cdcrd run", EXIT_ROOT, &[root.to_str().unwrap(), "--root"]);
+    place.checked("cdcrd run", EXIT_ROOT, &[root.to_str().unwrap(), "--root"]);
     assert_eq!(fs::metadata(root).unwrap().uid(), NOBODY);
     fs::remove_file(root).unwrap();
 }
@@ -210,8 +210,10 @@ fn a_name_that_another_user_has_taken_keeps_neither_the_daemon_nor_a_stop_out() 
     assert_eq!(location.name_holder(ROBOT), NameHolder::Foreign);
     daemon.restart();
     assert!(daemon.log().contains("another user holds the socket name"));
-    daemon.place().says("cdcrd run", 69, &["already running"]);
-    daemon.place().says("cdcrctl stop", 0, &[]);
+    daemon
+        .place()
+        .checked("cdcrd run", 69, &["already running"]);
+    daemon.place().checked("cdcrctl stop", 0, &[]);
     assert!(daemon.stop().success(), "{}", daemon.log());
 }
 
@@ -288,7 +290,7 @@ fn the_working_folder_and_foreign_variables_decide_nothing_and_are_not_logged() 
     drop(connection);
     daemon.signal(Signal::TERM);
     let output = daemon.output();
-    assert_says(&output, 0, &[]);
+    assert_output(&output, 0, &[]);
     let log = text(&output);
     assert!(log.contains("running") && !log.contains(secret), "{log}");
     assert!(!elsewhere.exists());

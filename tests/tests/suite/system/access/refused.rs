@@ -10,7 +10,7 @@ use cdcr_shared_types::codes::{Mode, Outcome};
 use cdcr_shared_types::{Location, Status};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_says, binary, text, wait_status,
+    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_output, binary, text, wait_status,
     wait_until,
 };
 use rustix::process::Signal;
@@ -88,7 +88,7 @@ fn every_command_of_another_user_is_refused_and_changes_nothing() {
             }))
             .output()
             .unwrap();
-        assert_says(
+        assert_output(
             &output,
             1,
             &[
@@ -123,7 +123,7 @@ fn a_root_that_belongs_to_root_is_not_for_a_normal_user() {
     };
     let output = cdcrctl.args(["status", "--root", "/usr"]).output().unwrap();
     let refusal = format!("/usr belongs to user 0, this program runs as user {user}");
-    assert_says(&output, 1, &[&refusal]);
+    assert_output(&output, 1, &[&refusal]);
 }
 
 #[test]
@@ -141,9 +141,9 @@ fn a_root_folder_that_the_other_user_cannot_even_see_is_reported_to_be_closed() 
     let command = |program| of_stranger(program, place.location().prefix(), root);
     let output = command(&cdcrctl).arg("status").output().unwrap();
     let words = [root.to_str().unwrap(), "permission denied"];
-    assert_says(&output, 1, &words);
+    assert_output(&output, 1, &words);
     let output = Program::start(command(&cdcrd).arg("run")).output();
-    assert_says(&output, EXIT_ROOT, &["Permission denied", "--root"]);
+    assert_output(&output, EXIT_ROOT, &["Permission denied", "--root"]);
 }
 
 #[test]
@@ -162,7 +162,7 @@ fn another_user_may_run_the_demo_beside_the_daemon() {
         .args(["demo", "--sections", "1", "--duration", "200ms"])
         .output()
         .unwrap();
-    assert_says(&output, 0, &["1 section"]);
+    assert_output(&output, 0, &["1 section"]);
     let after = wait_status(&connection, |status| status.cycles > before.cycles);
     assert_eq!(standing(&after), standing(&before));
     assert_eq!(left_by_stranger(place), Vec::<PathBuf>::new());
@@ -237,7 +237,7 @@ fn iceoryx2_by_hand_is_refused_to_another_user() {
         .arg(place.location().root())
         .output()
         .unwrap();
-    assert_says(&output, 0, &["joined nothing as user 65534"]);
+    assert_output(&output, 0, &["joined nothing as user 65534"]);
     assert_eq!(left_by_stranger(place), Vec::<PathBuf>::new());
 }
 
@@ -262,7 +262,7 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
         "belongs to user id 0, not to 65534",
         "use another one with --root",
     ];
-    assert_says(&output, EXIT_ROOT, &words);
+    assert_output(&output, EXIT_ROOT, &words);
     // On a root folder of its own: yes, with the same prefix and robot.
     let root = Path::new(Location::MEMORY).join(format!("{prefix}theirs"));
     folder_of_stranger(&root);
@@ -278,24 +278,24 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
         text(&ask(&["status"])).contains(&process)
     });
     assert_ne!(before.process_id, theirs.id());
-    assert_says(
+    assert_output(
         &ask(&[
             "obstacle", "add", "--id", "1", "--at", "5,5,5", "--radius", "0.1",
         ]),
         0,
         &[],
     );
-    assert_says(&ask(&["stop"]), 0, &["accepted"]);
+    assert_output(&ask(&["stop"]), 0, &["accepted"]);
     let after = wait_status(&connection, |status| status.cycles > before.cycles);
     assert_eq!(after.process_id, before.process_id);
     assert_eq!(standing(&after), standing(&before));
     // This user's requests do not reach it.
-    place.says("cdcrctl stop", 0, &["accepted"]);
-    assert_says(&ask(&["reset"]), 0, &["accepted"]);
+    place.checked("cdcrctl stop", 0, &["accepted"]);
+    assert_output(&ask(&["reset"]), 0, &["accepted"]);
     let status = wait_status(&connection, |status| status.mode == Mode::Stopped.code());
     assert_eq!(status.obstacle_count, 0);
     theirs.signal(Signal::TERM);
-    assert_says(&theirs.output(), 0, &[]);
+    assert_output(&theirs.output(), 0, &[]);
     assert_eq!(left_by_stranger(place), Vec::<PathBuf>::new());
     fs::remove_dir_all(&root).unwrap();
 }
@@ -316,11 +316,11 @@ fn a_root_folder_that_is_mounted_read_only_is_reported_to_be_so() {
     let remedy = format!("ReadWritePaths={root}");
     for request in ["status", "track"] {
         let line = format!("cdcrctl {request}");
-        daemon.place().says(&line, 1, &["read-only", &remedy]);
+        daemon.place().checked(&line, 1, &["read-only", &remedy]);
     }
     // A stop is sent by the signal.
     let words = ["not confirmed", "read-only"];
-    daemon.place().says("cdcrctl stop", 1, &words);
+    daemon.place().checked("cdcrctl stop", 1, &words);
     assert!(mount(&format!("umount '{root}'")));
     // The next cycle takes the signal, and the next status shows it.
     wait_until("stopped", || {
@@ -331,7 +331,7 @@ fn a_root_folder_that_is_mounted_read_only_is_reported_to_be_so() {
 
 /// Every message would be stamped in the future, and every status be old.
 #[test]
-fn a_client_in_another_time_namespace_is_told_so_and_can_stop_the_robot() {
+fn a_client_in_another_time_namespace_gets_an_error_and_can_stop_the_robot() {
     let daemon = Daemon::start(PATIENT);
     let client = |line: &str| {
         let mut command = daemon.place().command_of(Path::new("unshare"));
@@ -359,7 +359,7 @@ fn a_client_in_another_time_namespace_is_told_so_and_can_stop_the_robot() {
         "cdcrctl stop",
     ];
     for line in ["status", "hold", "ref line --track", "plant"] {
-        assert_says(&client(line).unwrap(), 1, &reported);
+        assert_output(&client(line).unwrap(), 1, &reported);
     }
-    assert_says(&client("stop").unwrap(), 0, &["the daemon is stopped"]);
+    assert_output(&client("stop").unwrap(), 0, &["the daemon is stopped"]);
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use cdcr_client::channels::Topic;
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENT, assert_says};
+use cdcr_tests::{Daemon, PATIENT, assert_output};
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 
 use super::lost;
@@ -28,7 +28,7 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
     }
     let mut run = Recorded::into(daemon, "disk/run.mcap");
     let output = run.recorder.output();
-    assert_says(&output, 3, &["run.mcap", "the recording ended there"]);
+    assert_output(&output, 3, &["run.mcap", "the recording ended there"]);
     let info = run.daemon.place().json("info disk/run.mcap");
     assert_eq!(info["cut"], false);
     let messages = info["channels"]["telemetry"]["messages"].as_u64().unwrap();
@@ -47,13 +47,13 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
     );
     // If the disk was full before, no empty file stays.
     fs::write(disk.join("rest"), vec![0; 1 << 20]).unwrap_err();
-    let says = [
+    let expected = [
         "cannot write disk/again.mcap",
         "No space left",
         "name a file on another disk with -o",
     ];
     let place = run.daemon.place();
-    place.says("cdcrctl record -o disk/again.mcap", 3, &says);
+    place.checked("cdcrctl record -o disk/again.mcap", 3, &expected);
     assert!(!disk.join("again.mcap").exists());
     // The loop was not affected.
     let status = run
@@ -76,8 +76,8 @@ fn a_file_at_its_limit_ends_the_recording_like_a_full_disk() {
     let id = Pid::from_raw(run.recorder.id().try_into().unwrap());
     prlimit(id, Resource::Fsize, limit).unwrap();
     // The limit may come before or after the first flush.
-    let says = ["run.mcap", "File too large", "raise the limit (ulimit -f)"];
-    assert_says(&run.recorder.output(), 3, &says);
+    let expected = ["run.mcap", "File too large", "raise the limit (ulimit -f)"];
+    assert_output(&run.recorder.output(), 3, &expected);
 }
 
 #[test]
@@ -85,8 +85,8 @@ fn a_recording_whose_file_was_removed_is_an_error() {
     let mut run = Recorded::start(PATIENT);
     fs::remove_file(&run.file).unwrap();
     run.recorder.signal(Signal::INT);
-    let says = ["run.mcap was removed during the recording"];
-    assert_says(&run.recorder.output(), 1, &says);
+    let expected = ["run.mcap was removed during the recording"];
+    assert_output(&run.recorder.output(), 1, &expected);
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn an_output_that_cannot_be_written_is_no_full_disk() {
         let mut command = place.command("cdcrctl");
         command.args(line.split(' ')).current_dir(place.folder());
         let output = command.stdout(full).output().unwrap();
-        assert_says(&output, 1, &["cannot write the output: No space left"]);
+        assert_output(&output, 1, &["cannot write the output: No space left"]);
     }
-    place.says("cdcrctl info run.mcap", 0, &["telemetry"]);
+    place.checked("cdcrctl info run.mcap", 0, &["telemetry"]);
 }

@@ -3,7 +3,7 @@
 use std::fs;
 
 use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_tests::{Daemon, PATIENT, TIMEOUT, assert_says, refused, text, track, wait_mode};
+use cdcr_tests::{Daemon, PATIENT, TIMEOUT, assert_output, refused, text, track, wait_mode};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -67,10 +67,10 @@ fn cycles_of_a_reference_from_before_the_recording_are_counted_apart() {
     });
     drop(connection);
     run.signal(Signal::INT);
-    assert_says(&run.output(), 0, &["run.mcap"]);
+    assert_output(&run.output(), 0, &["run.mcap"]);
     let reported = daemon
         .place()
-        .says("cdcrctl replay --verify run.mcap", 0, &["reproduced"]);
+        .checked("cdcrctl replay --verify run.mcap", 0, &["reproduced"]);
     assert!(reported.contains("not completely recorded"), "{reported}");
 }
 
@@ -139,7 +139,7 @@ fn other_settings_are_compared_with_what_was_commanded() {
     assert!(most(&others) > 1e-6, "{others}");
     assert_eq!(same["cycles"], others["cycles"]);
     assert_ne!(same["with"]["evaluations"], others["with"]["evaluations"]);
-    place.says("cdcrctl replay --with horizon=5 run.mcap", 2, &["horizon"]);
+    place.checked("cdcrctl replay --with horizon=5 run.mcap", 2, &["horizon"]);
     // Plans of a version with other control blocks have another length.
     let other = file.with_file_name("other.mcap");
     rewrite(
@@ -150,6 +150,6 @@ fn other_settings_are_compared_with_what_was_commanded() {
     );
     for how in ["--with velocity_rule=inertia", "--verify"] {
         let line = format!("cdcrctl replay {how} other.mcap");
-        place.says(&line, 1, &["a version with other control blocks"]);
+        place.checked(&line, 1, &["a version with other control blocks"]);
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use cdcr_tests::{Daemon, Program, assert_says};
+use cdcr_tests::{Daemon, Program, assert_output};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -29,7 +29,7 @@ impl Recorded {
 
     pub(super) fn end(&mut self) -> String {
         self.recorder.signal(Signal::INT);
-        assert_says(&self.recorder.output(), 0, &["run.mcap"])
+        assert_output(&self.recorder.output(), 0, &["run.mcap"])
     }
 
     pub(super) fn info(&self) -> Value {

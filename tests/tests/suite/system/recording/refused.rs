@@ -29,7 +29,7 @@ fn a_recording_of_another_version_is_refused_and_both_are_named() {
         let found = format!("{name}99");
         let ours = format!("reads {name}:");
         // The order of the messages is random; each one has its two versions.
-        let reported = place.says(
+        let reported = place.checked(
             &format!("cdcrctl {task} other.mcap"),
             1,
             &["was recorded as", "reads"],
@@ -53,11 +53,11 @@ fn of_a_damaged_recording_what_is_before_the_damage_is_saved() {
         "error: damaged.mcap: the recording is damaged",
         "; recover the part before the damage with `cdcrctl info --repair damaged.mcap`",
     ];
-    place.says("cdcrctl info damaged.mcap", 1, &says);
+    place.checked("cdcrctl info damaged.mcap", 1, &says);
     let says = ["is damaged", "saved", "the first"];
-    place.says("cdcrctl info --repair damaged.mcap", 0, &says);
-    place.says("cdcrctl info damaged-repaired.mcap", 0, &["telemetry"]);
-    place.says("cdcrctl info --repair begun.mcap", 1, &["no message"]);
+    place.checked("cdcrctl info --repair damaged.mcap", 0, &says);
+    place.checked("cdcrctl info damaged-repaired.mcap", 0, &["telemetry"]);
+    place.checked("cdcrctl info --repair begun.mcap", 1, &["no message"]);
     assert!(!file.with_file_name("begun-repaired.mcap").exists());
 }
 
@@ -72,16 +72,16 @@ fn what_is_no_recording_is_refused_with_the_reason() {
         ("foreign.mcap", "not an MCAP file"),
         ("missing.mcap", "No such file"),
     ] {
-        place.says(&format!("cdcrctl info {file}"), 1, &[file, reason]);
+        place.checked(&format!("cdcrctl info {file}"), 1, &[file, reason]);
     }
     let exists = |file, or| format!("{file} exists: remove it {or}");
     let another = exists("run.mcap", "or name another");
-    place.says("cdcrctl record -o run.mcap", 1, &[&another]);
+    place.checked("cdcrctl record -o run.mcap", 1, &[&another]);
     let table = place.folder().join("tables/telemetry.csv");
     fs::create_dir(table.parent().unwrap()).unwrap();
     fs::write(&table, "mine").unwrap();
     let refused = exists("tables/telemetry.csv", "or use another --csv folder");
-    place.says("cdcrctl convert run.mcap --csv tables", 1, &[&refused]);
+    place.checked("cdcrctl convert run.mcap --csv tables", 1, &[&refused]);
     // A table without the others is not a result.
     assert_eq!(fs::read_dir(table.parent().unwrap()).unwrap().count(), 1);
     assert_eq!(fs::read_to_string(table).unwrap(), "mine");

@@ -148,7 +148,7 @@ fn a_small_terminal_gets_a_sentence_and_none_a_panic() {
 }
 
 #[test]
-fn what_is_paused_and_silent_says_so() {
+fn a_paused_or_silent_screen_is_marked() {
     let seen = seen();
     let mut screen = Screen {
         live: &seen,
