@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
-use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::nmpc::{NmpcSettings, SolverKind};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::robot::BendRates;
 use serde_json::{Value, json};
@@ -13,7 +13,7 @@ use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, GREEN, GREY, Panel, Scale, of_rows};
 use crate::closed_loop::{self, End, PlanEvaluator, Scene, timed_solve};
 use crate::dataset::Dataset;
-use crate::experiment::{Solver, Task};
+use crate::experiment::Task;
 use crate::progress::Progress;
 use crate::quantiles::{histogram, quantiles};
 use crate::solver::Size;
@@ -103,7 +103,7 @@ struct Way {
 
 impl Way {
     fn all() -> Result<Vec<Self>> {
-        let refined = |task| Size::paper(task, Solver::KpsoRefined);
+        let refined = |task| Size::paper(task, SolverKind::KpsoRefined);
         let default = refined(Task::Spiral { sections: 3 });
         let rate_limit_rad_s = 2.0;
         let cases = [
@@ -113,7 +113,13 @@ impl Way {
         ];
         let way = |(name, size): (_, Size)| {
             let (scene, settings) = (size.scene()?, size.settings);
-            let run = closed_loop::run(&scene, Solver::GaussNewton.of(settings))?;
+            let run = closed_loop::run(
+                &scene,
+                NmpcSettings {
+                    solver: SolverKind::GaussNewton,
+                    ..settings
+                },
+            )?;
             let commands = run.0.into_iter().map(|sample| sample.rates).collect();
             Ok(Self {
                 name,

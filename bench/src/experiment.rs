@@ -6,7 +6,6 @@ use cdcr_controller::optimizer::VelocityRule;
 use serde_json::Value;
 
 use crate::closed_loop::{Run, Scene};
-use crate::named::named;
 
 /// Limits on the rates of the line \[rad/s\]; not in the paper.
 pub const LINE_RATES_RAD_S: [f64; 2] = [2.0, 8.0];
@@ -50,8 +49,11 @@ impl Task {
     }
 
     /// The paper's parameters, completed by the project's defaults.
-    pub fn settings(self, solver: Solver) -> NmpcSettings {
-        let mut settings = solver.of(NmpcSettings::default());
+    pub fn settings(self, solver: SolverKind) -> NmpcSettings {
+        let mut settings = NmpcSettings {
+            solver,
+            ..NmpcSettings::default()
+        };
         match self {
             Self::Spiral { .. } => {}
             Self::Line { .. } => {
@@ -88,34 +90,20 @@ impl Task {
     }
 }
 
-named! {
-    pub enum Solver {
-        Kpso = "kpso",
-        KpsoVerbatim = "kpso-verbatim",
-        GaussNewton = "gauss-newton",
-        KpsoRefined = "kpso-refined",
-    }
-}
-
-impl Solver {
-    #[must_use]
-    pub fn of(self, mut settings: NmpcSettings) -> NmpcSettings {
-        settings.solver = match self {
-            Self::Kpso | Self::KpsoVerbatim => SolverKind::Kpso,
-            Self::GaussNewton => SolverKind::GaussNewton,
-            Self::KpsoRefined => SolverKind::KpsoRefined,
-        };
-        if self == Self::KpsoVerbatim {
-            settings.velocity_rule = VelocityRule::Verbatim;
-        }
-        settings
-    }
-}
+/// The solvers of the experiments, and whether the swarm follows Eq. 6 verbatim.
+pub const SOLVERS: [(SolverKind, bool); 4] = [
+    (SolverKind::Kpso, false),
+    (SolverKind::Kpso, true),
+    (SolverKind::GaussNewton, false),
+    (SolverKind::KpsoRefined, false),
+];
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Experiment {
     pub task: Task,
-    pub solver: Solver,
+    pub solver: SolverKind,
+    /// The swarm follows Eq. 6 verbatim.
+    pub verbatim: bool,
     pub coordinates: Coordinates,
 }
 
@@ -126,9 +114,10 @@ impl Experiment {
         let mut all = Vec::new();
         for task in Task::all() {
             for coordinates in [Coordinates::BendVector, Coordinates::BendAngles] {
-                all.extend(Solver::ALL.map(|solver| Self {
+                all.extend(SOLVERS.map(|(solver, verbatim)| Self {
                     task,
                     solver,
+                    verbatim,
                     coordinates,
                 }));
             }
@@ -141,7 +130,17 @@ impl Experiment {
     pub fn settings(&self) -> NmpcSettings {
         let mut settings = self.task.settings(self.solver);
         settings.coordinates = self.coordinates;
+        if self.verbatim {
+            settings.velocity_rule = VelocityRule::Verbatim;
+        }
         settings
+    }
+
+    pub fn solver_name(&self) -> &'static str {
+        if self.verbatim {
+            return "kpso-verbatim";
+        }
+        self.solver.name()
     }
 }
 

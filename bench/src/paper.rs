@@ -1,6 +1,7 @@
 //! The paper's simulations as a benchmark: each experiment with several seeds, and its row.
 
 use anyhow::{Context, Result};
+use cdcr_controller::nmpc::SolverKind;
 use cdcr_controller::robot::ZyxAngles;
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
@@ -8,7 +9,7 @@ use serde_json::{Value, json};
 use crate::benchmark::Benchmark;
 use crate::closed_loop::{self, Run, Sample, Scene};
 use crate::dataset::{Dataset, each, joined, together};
-use crate::experiment::{Experiment, Outcome, Solver, Task};
+use crate::experiment::{Experiment, Outcome, Task};
 use crate::interrupt;
 use crate::metric::median;
 use crate::plots;
@@ -41,7 +42,9 @@ pub struct Effort {
 impl Effort {
     fn runs(&self, experiment: &Experiment) -> u64 {
         match (experiment.task, experiment.solver) {
-            (Task::Circle { .. }, Solver::KpsoRefined) => self.seeds.max(CLEARANCE_SEEDS).into(),
+            (Task::Circle { .. }, SolverKind::KpsoRefined) => {
+                self.seeds.max(CLEARANCE_SEEDS).into()
+            }
             _ => self.seeds.into(),
         }
     }
@@ -50,7 +53,7 @@ impl Effort {
     fn run_s(&self, experiment: &Experiment) -> f64 {
         let settings = experiment.settings();
         let swarm = match experiment.solver {
-            Solver::GaussNewton => 1,
+            SolverKind::GaussNewton => 1,
             _ => settings.swarm_size * settings.swarm_iterations,
         };
         let share = self.cycles_max.min(CYCLES) as f64 / CYCLES as f64;
@@ -73,7 +76,7 @@ impl Benchmark for Effort {
         let mut outcomes = Vec::new();
         for experiment in Experiment::all() {
             interrupt::check()?;
-            let (curve, solver) = (experiment.task.name(), experiment.solver.name());
+            let (curve, solver) = (experiment.task.name(), experiment.solver_name());
             progress.begin(&format!("{curve}, {solver}"));
             let run_s = self.run_s(&experiment);
             outcomes.push(run(experiment, *self, || progress.advance(run_s))?);
@@ -130,7 +133,7 @@ fn run_row(experiment: &Experiment, scene: &Scene, run: &Run) -> Value {
     let common = json!({
         "name": task.name(),
         "sections": scene.robot.section_count(),
-        "solver": experiment.solver,
+        "solver": experiment.solver_name(),
         "coordinates": experiment.coordinates,
         "horizon": settings.horizon_steps,
         "swarm": settings.swarm_size,

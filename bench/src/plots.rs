@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use cdcr_client::counted;
-use cdcr_controller::nmpc::Coordinates;
+use cdcr_controller::nmpc::{Coordinates, SolverKind};
 use cdcr_controller::robot::{Configuration, ZyxAngles};
 use nalgebra::Vector3;
 
@@ -12,7 +12,7 @@ use crate::chart::{
 };
 use crate::closed_loop::{PERIOD_S, Sample, obstacle_m};
 use crate::dataset::Dataset;
-use crate::experiment::{LINE_TILT_MAX_RAD, Outcome, Solver, Task};
+use crate::experiment::{Experiment, LINE_TILT_MAX_RAD, Outcome, SOLVERS, Task};
 
 /// Smallest bend with a meaningful direction \[rad\].
 const STRAIGHT_RAD: f64 = 1e-3;
@@ -114,19 +114,21 @@ impl<'a> Drawn<'a> {
             } => format!("line, rates up to {most} rad/s"),
             Task::Circle { safe_distance_m } => format!("circle, D = {} mm", 1e3 * safe_distance_m),
         };
-        let find = |solver: Solver| {
-            let is_it = |outcome: &&Outcome| {
-                let found = &outcome.experiment;
-                let what = (found.task, found.solver, found.coordinates);
-                what == (task, solver, Coordinates::BendVector)
+        let find = |(solver, verbatim): (SolverKind, bool)| {
+            let expected = Experiment {
+                task,
+                solver,
+                verbatim,
+                coordinates: Coordinates::BendVector,
             };
-            let missing = || format!("no outcome of {task:?} with {}", solver.name());
+            let is_it = |outcome: &&Outcome| outcome.experiment == expected;
+            let missing = || format!("no outcome of {task:?} with {}", expected.solver_name());
             outcomes.iter().find(is_it).with_context(missing)
         };
-        let run = find(Solver::KpsoRefined)?;
+        let run = find((SolverKind::KpsoRefined, false))?;
         Ok(Self {
             title: format!("Simulated {title}"),
-            all: Solver::ALL.into_iter().map(find).collect::<Result<_>>()?,
+            all: SOLVERS.into_iter().map(find).collect::<Result<_>>()?,
             samples: &run.first.0,
             run,
         })
@@ -217,14 +219,14 @@ impl<'a> Drawn<'a> {
     fn shares<const N: usize>(
         &self,
         x: &'static str,
-        widths: [u32; Solver::ALL.len()],
+        widths: [u32; SOLVERS.len()],
         value: impl Fn(&Sample) -> f64,
         beside: [Curve; N],
     ) -> Vec<Panel> {
         let styles = [SKY, PURPLE, ORANGE, BLUE].into_iter().zip(widths);
         let curve = |(outcome, (colour, width)): (&&Outcome, (RGBColor, u32))| {
             let points = exceeded(&outcome.first.0, &value);
-            Curve::line(outcome.experiment.solver.name(), points, colour).width(width)
+            Curve::line(outcome.experiment.solver_name(), points, colour).width(width)
         };
         let curves = self.all.iter().zip(styles).map(curve).chain(beside);
         let (axes, scale) = ([x, "share of the cycles"], Scale::LogLog { floor: SHARES });

@@ -9,15 +9,15 @@ pub mod hard;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolverKind};
 use cdcr_controller::optimizer::Simd;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, RGBColor, Scale};
+use crate::chart::{BLUE, Curve, ORANGE, PURPLE, Panel, RGBColor, Scale};
 use crate::closed_loop::{End, PERIOD_S, Scene, timed_solve};
 use crate::dataset::Dataset;
-use crate::experiment::{Solver, Task};
+use crate::experiment::Task;
 use crate::progress::Progress;
 use crate::quantiles::{histogram, quantile_us};
 use crate::study::{self, Case};
@@ -111,11 +111,11 @@ impl Benchmark for SolverOptions {
 }
 
 fn panel(cases: &[Value]) -> Panel {
-    let curve = |(solver, colour): (Solver, RGBColor)| {
+    let curve = |(solver, colour): (SolverKind, RGBColor)| {
         let points = growth::series(cases, solver, growth::SECTION);
         Curve::line(solver.name(), points, colour)
     };
-    let solvers = Solver::ALL.into_iter().zip([PURPLE, GREEN, BLUE, ORANGE]);
+    let solvers = SolverKind::ALL.into_iter().zip([PURPLE, BLUE, ORANGE]);
     let curves = solvers.map(curve).filter(|curve| !curve.is_empty());
     let title = "Median of a solve on the fastest path";
     let scale = Scale::Log { floor: 0.1 };
@@ -125,16 +125,16 @@ fn panel(cases: &[Value]) -> Panel {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
     pub task: Task,
-    pub solver: Solver,
+    pub solver: SolverKind,
     pub settings: NmpcSettings,
     pub obstacles: usize,
 }
 
 /// The measured sizes: the paper's, and variations of one quantity at a time.
 pub fn sizes() -> Vec<Size> {
-    let base = Size::paper(Task::Spiral { sections: 3 }, Solver::Kpso);
-    let refined = Size::paper(base.task, Solver::KpsoRefined);
-    let newton = Size::paper(base.task, Solver::GaussNewton);
+    let base = Size::paper(Task::Spiral { sections: 3 }, SolverKind::Kpso);
+    let refined = Size::paper(base.task, SolverKind::KpsoRefined);
+    let newton = Size::paper(base.task, SolverKind::GaussNewton);
     let mut sizes = Vec::new();
     for size in [base, refined, newton] {
         let tasks = (1..=6).map(|sections| Task::Spiral { sections });
@@ -146,13 +146,13 @@ pub fn sizes() -> Vec<Size> {
     sizes.extend([10, 100].map(|count| base.with(|it| it.swarm_iterations = count)));
     let rate_limit_rad_s = 2.0;
     let line = Task::Line { rate_limit_rad_s };
-    sizes.push(Size::paper(line, Solver::KpsoRefined));
+    sizes.push(Size::paper(line, SolverKind::KpsoRefined));
     sizes.push(refined.among_obstacles());
     sizes
 }
 
 impl Size {
-    pub(crate) fn paper(task: Task, solver: Solver) -> Self {
+    pub(crate) fn paper(task: Task, solver: SolverKind) -> Self {
         Self {
             task,
             solver,

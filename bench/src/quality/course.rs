@@ -1,11 +1,11 @@
 //! Courses: the paper's simulations, and harder scenes.
 
 use anyhow::Result;
-use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::nmpc::{NmpcSettings, SolverKind};
 use cdcr_controller::robot::Configuration;
 
 use crate::closed_loop::Scene;
-use crate::experiment::{CIRCLE_DISTANCES_M, LINE_RATES_RAD_S, Solver, Task};
+use crate::experiment::{CIRCLE_DISTANCES_M, LINE_RATES_RAD_S, Task};
 use crate::named::named;
 
 named! {
@@ -59,6 +59,6 @@ impl Course {
                 };
             }
         };
-        task.settings(Solver::KpsoRefined)
+        task.settings(SolverKind::KpsoRefined)
     }
 }

@@ -6,16 +6,16 @@ mod restarts;
 mod variant;
 
 use anyhow::Result;
+use cdcr_controller::nmpc::SolverKind;
 
 pub use restarts::{CONTENDERS, Field};
 
 use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
-use crate::experiment::Solver;
 use crate::progress::Progress;
 use crate::study::{self, Case};
 use course::Course;
-use variant::{SOLVERS, Variant, Varied, iteration_us};
+use variant::{Variant, Varied, iteration_us};
 
 /// Approximate duration of a contest \[s\].
 const CONTEST_S: f64 = 0.5;
@@ -49,9 +49,12 @@ impl QualityOptions {
         let swarms = swarms.map(|(particles, iterations)| Varied::Swarm(*particles, *iterations));
         let horizons = self.horizons.iter().map(|steps| Varied::Horizon(*steps));
         let varied = budgets.chain(swarms).chain(horizons);
-        let all = varied.flat_map(|varied| SOLVERS.map(|solver| (varied, solver)));
-        let has_effect = |(varied, solver): &(Varied, Solver)| {
-            !matches!((varied, solver), (Varied::Swarm(..), Solver::GaussNewton))
+        let all = varied.flat_map(|varied| SolverKind::ALL.map(|solver| (varied, solver)));
+        let has_effect = |(varied, solver): &(Varied, SolverKind)| {
+            !matches!(
+                (varied, solver),
+                (Varied::Swarm(..), SolverKind::GaussNewton)
+            )
         };
         let variant = |(varied, solver)| Variant::new(course, solver, varied);
         all.filter(has_effect).map(variant).collect()

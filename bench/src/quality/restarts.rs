@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
-use cdcr_controller::nmpc::{Horizon, Nmpc, NmpcSettings, SolveInput};
+use cdcr_controller::nmpc::{Horizon, Nmpc, NmpcSettings, SolveInput, SolverKind};
 use cdcr_controller::optimizer::{Budget, QUANTUM_NS, cycle_seed};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
@@ -13,7 +13,6 @@ use serde_json::{Value, json};
 
 use crate::chart::{BLUE, GREEN, GREY, ORANGE, RGBColor, SKY, YELLOW};
 use crate::dataset::number;
-use crate::experiment::Solver;
 use crate::named::named;
 use crate::numbers::Numbers;
 
@@ -51,7 +50,7 @@ const RANDOM_RATE_RAD_S: f64 = 2.0;
 #[derive(Debug)]
 pub struct Contender {
     pub name: &'static str,
-    pub solver: Solver,
+    pub solver: SolverKind,
     /// Number of random start plans in addition to the plan at rest; the best result counts.
     random_plans: u64,
     /// Work limit of all its solves together.
@@ -61,16 +60,16 @@ pub struct Contender {
 
 #[rustfmt::skip]
 pub const CONTENDERS: [Contender; 6] = [
-    contender("kpso", Solver::Kpso, 0, u32::MAX, GREEN),
-    contender("gauss-newton", Solver::GaussNewton, 0, u32::MAX, ORANGE),
-    contender("gauss-newton-restarted", Solver::GaussNewton, 3, u32::MAX, GREY),
-    contender("kpso-refined", Solver::KpsoRefined, 0, u32::MAX, BLUE),
-    contender("kpso-refined-20ms", Solver::KpsoRefined, 0, 20_000_000 / QUANTUM_NS, SKY),
-    contender("kpso-refined-5ms", Solver::KpsoRefined, 0, 5_000_000 / QUANTUM_NS, YELLOW),
+    contender("kpso", SolverKind::Kpso, 0, u32::MAX, GREEN),
+    contender("gauss-newton", SolverKind::GaussNewton, 0, u32::MAX, ORANGE),
+    contender("gauss-newton-restarted", SolverKind::GaussNewton, 3, u32::MAX, GREY),
+    contender("kpso-refined", SolverKind::KpsoRefined, 0, u32::MAX, BLUE),
+    contender("kpso-refined-20ms", SolverKind::KpsoRefined, 0, 20_000_000 / QUANTUM_NS, SKY),
+    contender("kpso-refined-5ms", SolverKind::KpsoRefined, 0, 5_000_000 / QUANTUM_NS, YELLOW),
 ];
 
 #[rustfmt::skip]
-const fn contender(name: &'static str, solver: Solver, random_plans: u64, quanta: u32, colour: RGBColor) -> Contender {
+const fn contender(name: &'static str, solver: SolverKind, random_plans: u64, quanta: u32, colour: RGBColor) -> Contender {
     Contender { name, solver, random_plans, quanta, colour }
 }
 
@@ -146,7 +145,7 @@ impl Problem {
 
     fn end_error_mm(&self, robot: &Robot, plan: &[f64]) -> f64 {
         let width = robot.coordinate_count();
-        let horizon = Horizon::new(&settings(Solver::GaussNewton), width);
+        let horizon = Horizon::new(&settings(SolverKind::GaussNewton), width);
         let mut end = self.start;
         for step in 0..horizon.steps() {
             let rates = &plan[horizon.block_of(step) * width..][..width];
@@ -163,8 +162,9 @@ fn shape(numbers: &mut Numbers) -> Configuration {
     Configuration::from_bend_angles(&[(); SECTIONS].map(|()| [below(BEND_MAX_RAD), below(TAU)]))
 }
 
-fn settings(solver: Solver) -> NmpcSettings {
-    solver.of(NmpcSettings {
+fn settings(solver: SolverKind) -> NmpcSettings {
+    NmpcSettings {
+        solver,
         horizon_steps: HORIZON_STEPS,
         control_blocks: 5,
         swarm_size: 32,
@@ -172,7 +172,7 @@ fn settings(solver: Solver) -> NmpcSettings {
         refinement_steps: 25,
         safe_distance_m: SAFE_DISTANCE_M,
         ..NmpcSettings::default()
-    })
+    }
 }
 
 pub(super) fn contest(field: Field, seed: u64) -> Result<Vec<Value>> {

@@ -3,16 +3,14 @@
 use std::time::Duration;
 
 use anyhow::Result;
-use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::nmpc::{NmpcSettings, SolverKind};
 use serde_json::{Value, json};
 
 use super::course::Course;
 use crate::closed_loop::{End, PERIOD_S, PlanEvaluator, Sample, Scene, run_with, timed_solve};
-use crate::experiment::Solver;
 use crate::metric::median;
 use crate::quantiles::{histogram, quantile_us};
 
-pub(super) const SOLVERS: [Solver; 3] = [Solver::Kpso, Solver::GaussNewton, Solver::KpsoRefined];
 /// Particles when the budget ends a solve; iterations and Gauss-Newton steps are then at their maximum.
 const BUDGET_SWARM: u32 = 64;
 const BUDGET_ITERATIONS: u32 = 1000;
@@ -42,14 +40,17 @@ pub(super) enum Varied {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Variant {
     course: Course,
-    solver: Solver,
+    solver: SolverKind,
     varied: Varied,
     pub(super) settings: NmpcSettings,
 }
 
 impl Variant {
-    pub(super) fn new(course: Course, solver: Solver, varied: Varied) -> Self {
-        let mut settings = solver.of(course.settings());
+    pub(super) fn new(course: Course, solver: SolverKind, varied: Varied) -> Self {
+        let mut settings = NmpcSettings {
+            solver,
+            ..course.settings()
+        };
         match varied {
             // The maximum of work, ended by the clock. With Gauss-Newton steps after it, the swarm is limited to
             // half of the budget.
@@ -57,7 +58,7 @@ impl Variant {
                 let half = 0.5 * us as f64 / iteration_us;
                 settings.swarm_size = BUDGET_SWARM;
                 settings.swarm_iterations = match solver {
-                    Solver::KpsoRefined => half.clamp(1.0, BUDGET_ITERATIONS.into()) as u32,
+                    SolverKind::KpsoRefined => half.clamp(1.0, BUDGET_ITERATIONS.into()) as u32,
                     _ => BUDGET_ITERATIONS,
                 };
                 settings.refinement_steps = BUDGET_REFINEMENTS;
@@ -69,10 +70,10 @@ impl Variant {
                 (settings.horizon_steps, settings.control_blocks) = (steps, 0);
             }
         }
-        if solver == Solver::GaussNewton {
+        if solver == SolverKind::GaussNewton {
             (settings.swarm_size, settings.swarm_iterations) = (1, 0);
         }
-        if solver == Solver::Kpso {
+        if solver == SolverKind::Kpso {
             settings.refinement_steps = 0;
         }
         Self {
@@ -123,7 +124,7 @@ impl Variant {
         let near_m = settings.safe_distance_m - ROUNDING_M;
         let below_safe_ms = 1e3 * PERIOD_S * count * run.share(|it| it.clearance_m < near_m);
         let has_obstacles = !scene.obstacles.is_empty();
-        let has_swarm = self.solver != Solver::GaussNewton;
+        let has_swarm = self.solver != SolverKind::GaussNewton;
         let (axis, value) = self.axis();
         Ok(json!({
             "axis": axis,
@@ -154,8 +155,11 @@ impl Variant {
 /// Duration of an iteration of [`BUDGET_SWARM`] particles along a course, on this machine \[µs\].
 pub(super) fn iteration_us(course: Course) -> Result<f64> {
     let scene = course.scene()?;
-    let driving = Solver::GaussNewton.of(course.settings());
-    let mut timed = Solver::Kpso.of(course.settings());
+    let with = |solver| NmpcSettings {
+        solver,
+        ..course.settings()
+    };
+    let (driving, mut timed) = (with(SolverKind::GaussNewton), with(SolverKind::Kpso));
     (timed.swarm_size, timed.swarm_iterations) = (BUDGET_SWARM, TIMED_ITERATIONS);
     let (mut driver, mut swarm) = (scene.solver(driving)?, scene.solver(timed)?);
     let mut closed = scene.begin(driving)?;

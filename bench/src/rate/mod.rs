@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use cdcr_client::counted;
+use cdcr_controller::nmpc::SolverKind;
 use cdcr_controller::robot::RobotParameters;
 use serde::Serialize;
 
@@ -14,7 +15,6 @@ pub use report::picture;
 
 use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
-use crate::experiment::Solver;
 use crate::interrupt;
 use crate::progress::Progress;
 use crate::subject::daemon::Launch;
@@ -127,21 +127,25 @@ impl Benchmark for RateOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Case {
     pub sections: usize,
-    pub solver: Solver,
+    pub solver: SolverKind,
     pub horizon_steps: u32,
 }
 
 impl Case {
     pub const DEFAULT: Self = Self {
         sections: 3,
-        solver: Solver::KpsoRefined,
+        solver: SolverKind::KpsoRefined,
         horizon_steps: 2,
     };
 
     /// One to three sections with every solver and both horizons, ordered so that neighbours are similar.
     pub fn all() -> Vec<Self> {
         let mut all = Vec::new();
-        for solver in [Solver::GaussNewton, Solver::Kpso, Solver::KpsoRefined] {
+        for solver in [
+            SolverKind::GaussNewton,
+            SolverKind::Kpso,
+            SolverKind::KpsoRefined,
+        ] {
             for horizon_steps in [2, 10] {
                 all.extend((1..=3).map(|sections| Self {
                     sections,

@@ -1,10 +1,10 @@
 //! Growth of the solve time with one quantity: straight-line fits over the medians of the fastest path.
 
+use cdcr_controller::nmpc::SolverKind;
 use serde_json::{Value, json};
 use statrs::statistics::Statistics as _;
 
 use crate::dataset::number;
-use crate::experiment::Solver;
 
 /// A varied quantity: its name, its key in a case, and its value in the paper's size.
 type Quantity = (&'static str, &'static str, f64);
@@ -19,13 +19,13 @@ const QUANTITIES: [Quantity; 5] = [
 ];
 
 pub fn rows(cases: &[Value]) -> Vec<Value> {
-    let solvers = Solver::ALL.into_iter();
+    let solvers = SolverKind::ALL.into_iter();
     let all = solvers.flat_map(|solver| QUANTITIES.map(|per| growth(cases, solver, per)));
     all.flatten().collect()
 }
 
 /// Medians over one quantity, from the cases that equal the paper's in all others.
-pub fn series(cases: &[Value], solver: Solver, (_, per, _): Quantity) -> Vec<(f64, f64)> {
+pub fn series(cases: &[Value], solver: SolverKind, (_, per, _): Quantity) -> Vec<(f64, f64)> {
     let fastest = cases.last().map(|case| &case["path"]);
     let is_like = |case: &Value, (_, key, paper): &Quantity| {
         *key == per || case[*key].as_f64() == Some(*paper)
@@ -44,7 +44,7 @@ pub fn series(cases: &[Value], solver: Solver, (_, per, _): Quantity) -> Vec<(f6
     points
 }
 
-fn growth(cases: &[Value], solver: Solver, per: Quantity) -> Option<Value> {
+fn growth(cases: &[Value], solver: SolverKind, per: Quantity) -> Option<Value> {
     let points = series(cases, solver, per);
     let (&(from, p50_us_from), &(to, p50_us_to)) = (points.first()?, points.last()?);
     let logarithms: Vec<_> = points.iter().map(|(x, us)| (x.log2(), us.log2())).collect();
@@ -82,7 +82,7 @@ mod tests {
                 "swarm": 6, "iterations": 30, "obstacles": obstacles, "p50_us": p50_us,
             })
         });
-        let growths = QUANTITIES.map(|per| growth(&cases, Solver::Kpso, per));
+        let growths = QUANTITIES.map(|per| growth(&cases, SolverKind::Kpso, per));
         let [section, step, particle, iteration, obstacle] = growths;
         assert!([section, particle, iteration].iter().all(Option::is_none));
         let (step, obstacle) = (step.expect("three"), obstacle.expect("two"));

@@ -3,13 +3,14 @@
 use std::time::Duration;
 
 use anyhow::Result;
+use cdcr_controller::nmpc::SolverKind;
 use cdcr_controller::optimizer::QUANTUM_NS;
 use serde_json::{Value, json};
 
 use super::Size;
 use crate::closed_loop::{End, Run, Sample, run_with};
 use crate::dataset::{each, joined};
-use crate::experiment::{Solver, Task};
+use crate::experiment::Task;
 use crate::quantiles::{histogram, quantile_us};
 
 /// Steps of the horizon, each with separate rates.
@@ -64,14 +65,14 @@ pub fn measure_by_deadlines(divisor: u64) -> Result<Vec<Value>> {
     })
 }
 
-type Problem = (Solver, u32, usize);
+type Problem = (SolverKind, u32, usize);
 
 fn every(divisor: u64, solve: impl Fn(Problem) -> Result<Value>) -> Result<Vec<Value>> {
     let mut rows = Vec::new();
     if divisor > 1 {
         return Ok(rows);
     }
-    for solver in [Solver::GaussNewton, Solver::KpsoRefined] {
+    for solver in [SolverKind::GaussNewton, SolverKind::KpsoRefined] {
         for obstacles in OBSTACLES {
             for speed in SPEEDS {
                 let own = json!({ "solver": solver, "speed": speed, "obstacles": obstacles });

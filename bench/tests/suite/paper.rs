@@ -4,12 +4,12 @@ use std::path::Path;
 
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::dataset::Dataset;
-use cdcr_bench::experiment::{Experiment, Solver, Task};
+use cdcr_bench::experiment::{Experiment, Task};
 use cdcr_bench::paper::{Effort, run};
 use cdcr_bench::progress::Progress;
 use cdcr_bench::report::Start;
 use cdcr_bench::run_options::RunOptions;
-use cdcr_controller::nmpc::Coordinates;
+use cdcr_controller::nmpc::{Coordinates, SolverKind};
 use cdcr_scratch::Scratch;
 
 use crate::{dataset_is_sound, needs_nothing_else, number};
@@ -84,12 +84,13 @@ fn the_folder_holds_figures_a_page_and_tables() {
 }
 
 /// A whole simulation with one seed.
-fn whole(task: Task, solver: Solver) -> impl Fn(&str) -> f64 {
+fn whole(task: Task, solver: SolverKind) -> impl Fn(&str) -> f64 {
     let mut effort = QUICK;
     effort.cycles_max = u64::MAX;
     let experiment = Experiment {
         task,
         solver,
+        verbatim: false,
         coordinates: Coordinates::BendVector,
     };
     let row = run(experiment, effort, || ()).expect("it runs").row;
@@ -99,20 +100,20 @@ fn whole(task: Task, solver: Solver) -> impl Fn(&str) -> f64 {
 #[test]
 fn each_simulation_is_at_least_as_exact_as_in_the_paper_and_keeps_its_bounds() {
     for (sections, paper_mm) in [(1, 5e-9), (2, 7e-4), (3, 5e-3)] {
-        use Solver::{GaussNewton, Kpso, KpsoRefined};
+        use SolverKind::{GaussNewton, Kpso, KpsoRefined};
         for (solver, bound_mm) in [(Kpso, paper_mm), (GaussNewton, 1e-10), (KpsoRefined, 1e-10)] {
             let error_mm = whole(Task::Spiral { sections }, solver)("mean_error_mm");
             assert!(error_mm <= bound_mm, "{sections}, {solver:?}: {error_mm}");
         }
     }
     for (rate_limit_rad_s, bound_mm) in [(2.0, 2.6e-3), (8.0, 2e-4)] {
-        let row = whole(Task::Line { rate_limit_rad_s }, Solver::KpsoRefined);
+        let row = whole(Task::Line { rate_limit_rad_s }, SolverKind::KpsoRefined);
         assert!(row("mean_error_mm") <= bound_mm, "{}", row("mean_error_mm"));
         assert!(row("max_theta_rad") <= 1e-2 && row("max_psi_rad") <= 1e-2);
     }
     // Without a wide detour.
     for safe_distance_m in [0.01, 0.02, 0.04] {
-        let row = whole(Task::Circle { safe_distance_m }, Solver::GaussNewton);
+        let row = whole(Task::Circle { safe_distance_m }, SolverKind::GaussNewton);
         let (safe_mm, peak_mm) = (row("safe_distance_mm"), row("peak_error_mm"));
         assert!(row("min_clearance_mm") >= safe_mm - 0.01);
         assert!(row("mean_error_outside_mm") <= 8e-3);

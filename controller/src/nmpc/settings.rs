@@ -21,6 +21,18 @@ pub enum SolverKind {
 }
 
 impl SolverKind {
+    /// Every kind.
+    pub const ALL: [Self; 3] = [Self::Kpso, Self::GaussNewton, Self::KpsoRefined];
+
+    /// Name of the kind in a configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Kpso => "kpso",
+            Self::GaussNewton => "gauss-newton",
+            Self::KpsoRefined => "kpso-refined",
+        }
+    }
+
     pub(super) fn searches(self) -> bool {
         self != Self::GaussNewton
     }
@@ -368,6 +380,13 @@ fn check(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_name_of_a_solver_is_that_in_a_configuration() {
+        let read = |name: &str| serde_json::from_value::<SolverKind>(name.into());
+        let known = SolverKind::ALL.map(|kind| read(kind.name()).expect("a known name"));
+        assert_eq!(known, SolverKind::ALL);
+    }
 
     #[test]
     fn default_settings_are_legal_and_bad_ones_say_what_is_allowed() {

@@ -12,12 +12,6 @@ use proptest::prelude::*;
 use crate::{input, inside};
 
 const PERIOD_S: f64 = 0.005;
-const SOLVERS: [SolverKind; 3] = [
-    SolverKind::Kpso,
-    SolverKind::GaussNewton,
-    SolverKind::KpsoRefined,
-];
-
 const RULES: [VelocityRule; 3] = [
     VelocityRule::Inertia,
     VelocityRule::Constriction,
@@ -67,7 +61,7 @@ fn a_reachable_reference_is_met_exactly_by_every_solver() {
         let mut bends = Configuration::straight(sections);
         bends.as_mut_slice()[2 * sections - 2] = 0.6;
         let tip = robot.tip_position(&bends);
-        for (kind, bound_m) in SOLVERS.into_iter().zip([1e-6, 1e-12, 1e-12]) {
+        for (kind, bound_m) in SolverKind::ALL.into_iter().zip([1e-6, 1e-12, 1e-12]) {
             let mut nmpc = solver(&robot, kind, 2);
             let errors = track(&mut nmpc, bends, 200, |cycle| {
                 let (sin, cos) = (0.5 * cycle as f64 * PERIOD_S).sin_cos();
@@ -144,7 +138,7 @@ fn a_jump_and_an_unreachable_reference_are_approached_at_full_rate() {
 #[test]
 fn without_a_finite_problem_the_rates_are_zero_and_the_status_reports_it() {
     let robot = paper(1);
-    for kind in SOLVERS {
+    for kind in SolverKind::ALL {
         let mut nmpc = solver(&robot, kind, 2);
         let nowhere = Configuration::from_slice(&[f64::NAN, 0.0]).unwrap();
         let (rest, goal) = (BendRates::zero(1), [inside(Vector3::new(0.0, 0.0, 0.3))]);
@@ -179,7 +173,7 @@ fn a_plan_keeps_the_offset_of_the_tip_as_distance() {
     let ball = [Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap()];
     let goal = [inside(tip_m + Vector3::new(0.01, 0.0, 0.0)); 2];
     let rest = BendRates::zero(3);
-    for kind in SOLVERS {
+    for kind in SolverKind::ALL {
         let nearness_m = [0.0, 0.03].map(|tip_offset_m| {
             let input = SolveInput {
                 obstacles: &ball,
@@ -202,7 +196,7 @@ fn a_state_of_another_robot_gives_zero_rates() {
     let robot = paper(2);
     let bent = Configuration::from_bend_angles(&[[0.3, 0.1], [-0.2, 0.4]]);
     let goal = [inside(robot.tip_position(&bent))];
-    for kind in SOLVERS {
+    for kind in SolverKind::ALL {
         for counts in [[1, 2], [3, 2], [2, 1], [2, 6]] {
             let mut nmpc = solver(&robot, kind, 2);
             let (at, rates) = (
@@ -252,7 +246,7 @@ fn the_largest_problems_look_at_their_budget_all_along() {
     let robot = paper(6);
     let at = Configuration::from_slice(&[0.1; 12]).unwrap();
     let (rest, goal) = (BendRates::zero(6), [inside(Vector3::new(0.3, 0.0, 1.5))]);
-    for solver in SOLVERS {
+    for solver in SolverKind::ALL {
         let settings = NmpcSettings {
             solver,
             horizon_steps: 50,
@@ -416,7 +410,7 @@ fn cases() -> impl Strategy<Value = Case> {
                     let (.., weight, angles, orientation_tolerance_rad, (rule, terminal_weight)) =
                         settings;
                     let settings = NmpcSettings {
-                        solver: SOLVERS[solver],
+                        solver: SolverKind::ALL[solver],
                         horizon_steps,
                         control_blocks: blocks.min(horizon_steps),
                         swarm_size,

@@ -9,12 +9,6 @@ use cdcr_daemon::rt::sys::count_allocations;
 use nalgebra::{UnitQuaternion, Vector3};
 
 const PERIOD_S: f64 = 0.005;
-const SOLVERS: [SolverKind; 3] = [
-    SolverKind::Kpso,
-    SolverKind::GaussNewton,
-    SolverKind::KpsoRefined,
-];
-
 #[test]
 fn no_solver_touches_the_heap() {
     let mut parameters = RobotParameters::paper(3);
@@ -22,7 +16,7 @@ fn no_solver_touches_the_heap() {
     parameters.cable_stroke_max_m = 0.03;
     parameters.cable_speed_max_m_s = 0.04;
     let robot = Robot::new(&parameters).unwrap();
-    for solver in SOLVERS {
+    for solver in SolverKind::ALL {
         // Six blocks without a weight on changes of rates: the smoother.
         for (coordinates, control_blocks, rate_change_weight) in [
             (Coordinates::BendVector, 3, 1e-9),

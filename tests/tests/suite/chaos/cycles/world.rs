@@ -449,11 +449,7 @@ impl World {
     fn set(&mut self) {
         let dice = &mut self.dice;
         let nmpc = &mut self.inputs.settings.nmpc;
-        nmpc.solver = dice.pick(&[
-            SolverKind::Kpso,
-            SolverKind::GaussNewton,
-            SolverKind::KpsoRefined,
-        ]);
+        nmpc.solver = dice.pick(&SolverKind::ALL);
         nmpc.horizon_steps = 1 + dice.below(20);
         nmpc.control_blocks = 1 + dice.below(nmpc.horizon_steps);
         nmpc.safe_distance_m = dice.between(0.0, 0.03);
