@@ -20,6 +20,9 @@ pub(super) const CONSTRAINTS_MAX: usize = 256;
 /// is used only if it costs less than this share of the refined plan.
 const INTERRUPTED_COST_SHARE: f64 = 0.5;
 
+/// Additional steps for a new staged plan. They cost less than the search that an error would start.
+const NEW_PLAN_STEPS: u32 = 3;
+
 /// An error is late if this part of the horizon, a quarter of the steps,
 const EARLY_PART: usize = 4;
 /// costs at most this share of the plan.
@@ -252,7 +255,7 @@ impl Solver {
 
     /// Refines the warm start. If it violates a constraint, for example in the new last step, the knowledge
     /// candidates compete with its refinement; returns `None` if one of them is better. A new staged plan
-    /// without a swarm search takes one more step, because no earlier cycle has come close.
+    /// takes [`NEW_PLAN_STEPS`] more, because no earlier cycle has come close.
     fn refine_warm_start(
         &mut self,
         task: &Task,
@@ -262,7 +265,7 @@ impl Solver {
     ) -> Option<GaussNewtonOutcome> {
         let settings = task.settings.gauss_newton();
         let settings = GaussNewtonSettings {
-            steps: settings.steps + u32::from(is_new && !task.settings.solver.searches()),
+            steps: settings.steps + if is_new { NEW_PLAN_STEPS } else { 0 },
             ..settings
         };
         if !self.incumbent.is_violated() {

@@ -94,6 +94,17 @@ fn the_work_of_a_solve_is_limited_and_the_curve_still_followed() {
     }
 }
 
+/// The first cycles at ten times the speed press on bounds in half of the steps. They took 192 quanta with a search.
+#[test]
+fn a_new_fast_plan_converges_without_a_search() {
+    for solver in SOLVERS {
+        let course = Course::spiral(solver, 10.0, false).lasting(2);
+        let outcome = course.run(quanta(BUDGET_NS));
+        assert!(outcome.largest_work < 120, "{solver:?}: {outcome:?}");
+        assert!(outcome.mean_m < 1e-12, "{solver:?}: {outcome:?}");
+    }
+}
+
 /// Blocks of several steps cannot follow a curve: 40 steps in 20 were 2 µm off, with four times the work.
 #[test]
 fn every_step_of_a_longer_horizon_has_rates_of_its_own() {

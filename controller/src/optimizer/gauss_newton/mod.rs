@@ -167,6 +167,7 @@ impl GaussNewton {
             let mut gain = 0.0;
             let is_last = self.with_trial(context, incumbent, origin, |own, trial| {
                 trial.step_tolerance = settings.step_tolerance;
+                trial.is_followed = true;
                 trial.is_rough = settings.is_rough;
                 let found = own.find_step(trial, damping, budget);
                 let step = &own.step[..trial.base.len()];
@@ -272,6 +273,7 @@ impl GaussNewton {
             incumbent,
             origin,
             step_tolerance: 0.0,
+            is_followed: false,
             is_rough: false,
             residuals: rounding.map(|_| &mut trial_residuals[..rows]),
         };

@@ -7,6 +7,12 @@ use crate::optimizer::{Bounds, Budget, Problem, Reach};
 
 /// Largest number of active-set rounds: fix unknowns at their bounds, and solve again for the others.
 const ACTIVE_SET_ROUNDS: usize = 12;
+/// The same for a staged step that another linearisation follows: far from the solution, that gains more in the time of
+/// two rounds.
+const STAGED_ROUNDS: usize = 8;
+/// A staged step that is clamped to the box and reduces the cost to this share is taken as it is: near the solution, the
+/// next linearisation starts with the right unknowns at their bounds.
+const CLAMPED_SHARE: f64 = 0.01;
 /// An unknown whose excess is at least this share of the largest is fixed in the same round. Unknowns at a
 /// bound have an infinite excess, so they are fixed together.
 const FIRST_SHARE: f64 = 0.9;
@@ -59,7 +65,9 @@ impl GaussNewton {
         if trial.is_rough && !self.riccati.accumulate_cost(&self.model, budget) {
             return None;
         }
-        self.find_step_in_box(trial, damping, budget)?;
+        if self.find_step_in_box(trial, damping, budget)? {
+            return Some(FoundStep::Evaluated);
+        }
         let (problem, z) = (trial.problem, trial.base);
         let step = &mut self.step[..z.len()];
         // A base point that violates a constraint, or was not evaluated, needs the constraints even for a
@@ -107,13 +115,14 @@ impl GaussNewton {
     }
 
     /// Finds the step inside the box: unknowns that would leave it are fixed at the bound, and the system is
-    /// solved again for the others.
+    /// solved again for the others. Returns whether the clamped step was so good that the incumbent adopted it. None: the
+    /// matrix was singular, or the budget was spent.
     fn find_step_in_box<P: Problem>(
         &mut self,
         trial: &mut Trial<P>,
         damping: f64,
         budget: &mut Budget<'_>,
-    ) -> Option<()> {
+    ) -> Option<bool> {
         let (bounds, z) = (trial.bounds, trial.base);
         let dimension = z.len();
         self.step[..dimension].fill(0.0);
@@ -123,7 +132,11 @@ impl GaussNewton {
         if !self.model.has_active_constraints() {
             self.free.retain(|&i| !self.at_active_bound[i]);
         }
-        for round in 0..ACTIVE_SET_ROUNDS {
+        let is_staged = self.model.is_staged();
+        let is_short = is_staged && trial.is_followed;
+        let rounds = [ACTIVE_SET_ROUNDS, STAGED_ROUNDS][usize::from(is_short)];
+        let mut is_taken = false;
+        for round in 0..rounds {
             if !self.solve_free(dimension, damping, trial.is_rough, budget) {
                 return None;
             }
@@ -131,9 +144,16 @@ impl GaussNewton {
             if excess == 0.0 {
                 break;
             }
-            if round == 0 && self.model.is_staged() {
+            if round == 0 && is_staged {
+                let most = CLAMPED_SHARE * trial.incumbent.cost();
                 let step = &self.step[..dimension];
-                trial.backtrack_until_violation(step, HALVINGS_FIRST, budget)?;
+                let step_length = trial.backtrack_until_violation(step, HALVINGS_FIRST, budget)?;
+                let incumbent = &trial.incumbent;
+                is_taken =
+                    step_length == 1.0 && incumbent.cost() < most && !incumbent.is_violated();
+                if is_taken {
+                    break;
+                }
             }
             self.fix_at_bounds(bounds, z, excess);
         }
@@ -141,7 +161,7 @@ impl GaussNewton {
         for ((step, z), (&low, &high)) in self.step.iter_mut().zip(z).zip(intervals) {
             *step = (z + *step).clamp(low, high) - z;
         }
-        Some(())
+        Some(is_taken)
     }
 
     /// Largest excess of the free unknowns over the box, see [`excess`]; 0: the step stays inside.

@@ -29,6 +29,8 @@ pub(super) struct Trial<'a, P> {
     pub origin: Candidate,
     /// Steps whose largest component is at most this are not tried.
     pub step_tolerance: f64,
+    /// Whether another linearisation may follow this step.
+    pub is_followed: bool,
     /// [`GaussNewtonSettings::is_rough`](super::GaussNewtonSettings::is_rough).
     pub is_rough: bool,
     /// Residuals of the last evaluated point, if [`Problem::rounding`] is some.
