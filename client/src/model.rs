@@ -33,6 +33,7 @@ pub fn robot_of(description: &RobotDescription) -> Result<Robot, RobotError> {
         sections: used.map(section).collect(),
         cable_speed_max_m_s: description.cable_speed_max_m_s,
         cable_stroke_max_m: description.cable_stroke_max_m,
+        tip_speed_max_m_s: description.tip_speed_max_m_s,
     })
 }
 

@@ -95,9 +95,10 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
         }),
         cut(config),
     ];
+    let warnings = warnings.into_iter().chain(tip_speed(config));
     let of_sections = config.robot.sections.iter().enumerate();
     let of_sections = of_sections.flat_map(|(j, section)| of_section(j, section));
-    let warnings = warnings.into_iter().flatten().chain(of_sections);
+    let warnings = warnings.flatten().chain(of_sections);
     warnings
         .chain(unusual(config))
         .chain(of_units(config))
@@ -223,6 +224,46 @@ fn of_section(j: usize, section: &SectionParameters) -> Vec<String> {
         }),
     ];
     warnings.into_iter().flatten().collect()
+}
+
+/// A speed limit of the section ends that never acts, or always.
+fn tip_speed(config: &Config) -> [Option<String>; 3] {
+    let (motion, limit_m_s) = (&config.motion, config.robot.tip_speed_max_m_s);
+    if limit_m_s == 0.0 {
+        return [const { None }; 3];
+    }
+    // Upper bound: a section moves its own end by half its length for each rad, and turns everything beyond.
+    let (mut most_m_s, mut beyond_m) = (0.0, 0.0);
+    for section in config.robot.sections.iter().rev() {
+        let lever_m = 0.5 * section.length_m + beyond_m;
+        most_m_s += core::f64::consts::SQRT_2 * section.rate_max_rad_s * lever_m;
+        beyond_m += section.length_m;
+    }
+    let last = config.robot.sections.last();
+    let homing_m_s = last.map_or(0.0, |last| 0.5 * last.length_m * motion.home_rate_rad_s);
+    let approach = motion.approach_limits(config.link.is_ideal(), beyond_m);
+    let key = "robot.tip_speed_max_m_s";
+    [
+        (limit_m_s > most_m_s).then(|| {
+            format!(
+                "{key} = {limit_m_s} has no effect: the largest rates move the tip at {most_m_s:.2} m/s at most; in another unit?"
+            )
+        }),
+        (limit_m_s < 0.1 * homing_m_s).then(|| {
+            format!(
+                "{key} = {limit_m_s}: the last section alone moves the tip at {homing_m_s:.3} m/s at motion.home_rate_rad_s = \
+                 {}, so that homing takes more than ten times as long; in another unit?",
+                motion.home_rate_rad_s
+            )
+        }),
+        (approach.is_some_and(|approach| approach.speed_m_s > limit_m_s)).then(|| {
+            format!(
+                "motion.approach_speed_m_s = {} is above {key} = {limit_m_s}: the tip falls behind its approach to a \
+                 reference; lower it, too",
+                motion.approach_speed_m_s
+            )
+        }),
+    ]
 }
 
 /// A probably unintended timeout of the obstacle sources.

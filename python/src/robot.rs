@@ -55,12 +55,13 @@ impl Robot {
     /// length_m: backbone of a section, 0.001 to 10 m. cable_radius_m: cables from the backbone, 0.0001 to 1 m. cable_offset_rad: angle of
     /// the first cable, -2π to 2π rad (40° more from section to section if left out). bend_max_rad: 0.01 to π rad. rate_max_rad_s: of
     /// each bend component, 0.001 to 100 rad/s. body_radius_m: 0 to 1 m. cable_speed_max_m_s and cable_stroke_max_m: 0.0001 to 100.
+    /// tip_speed_max_m_s: of the end of each section, 0.001 to 100 m/s; 0: no limit.
     /// Raises ArgumentError for a value outside its range and for lists of different lengths.
     #[new]
     #[pyo3(signature = (
         length_m = None, *, cable_radius_m = None, cable_offset_rad = None,
         bend_max_rad = None, rate_max_rad_s = None, body_radius_m = None,
-        cable_speed_max_m_s = 0.5, cable_stroke_max_m = 0.25,
+        cable_speed_max_m_s = 0.5, cable_stroke_max_m = 0.25, tip_speed_max_m_s = 0.0,
     ))]
     #[allow(clippy::too_many_arguments, reason = "each is a name in Python")]
     fn new(
@@ -72,6 +73,7 @@ impl Robot {
         body_radius_m: Option<ArrayLike<'_>>,
         cable_speed_max_m_s: f64,
         cable_stroke_max_m: f64,
+        tip_speed_max_m_s: f64,
     ) -> PyResult<Self> {
         let is_counted = length_m.is_some();
         let given = [
@@ -96,6 +98,7 @@ impl Robot {
         let mut parameters = RobotParameters {
             cable_speed_max_m_s,
             cable_stroke_max_m,
+            tip_speed_max_m_s,
             ..RobotParameters::paper(sections)
         };
         for (name, list, place) in lists {
@@ -313,6 +316,8 @@ impl Robot {
         }
         arguments.set_item("cable_speed_max_m_s", self.inner.cable_speed_max_m_s())?;
         arguments.set_item("cable_stroke_max_m", self.inner.cable_stroke_max_m())?;
+        let tip_speed_max_m_s = self.inner.parameters().tip_speed_max_m_s;
+        arguments.set_item("tip_speed_max_m_s", tip_speed_max_m_s)?;
         Ok((PyTuple::empty(py), arguments))
     }
 

@@ -21,7 +21,7 @@ message! {
     }
 
     /// The robot that the daemon controls.
-    pub struct RobotDescription "cdcr.RobotDescription.v1" {
+    pub struct RobotDescription "cdcr.RobotDescription.v2" {
         /// Sections used, 1 ..= [`SECTIONS_MAX`].
         sections: u32 [length],
         /// Zero.
@@ -32,6 +32,8 @@ message! {
         cable_speed_max_m_s: f64,
         /// How far a cable can be pulled or paid out from its length at the straight robot \[m\].
         cable_stroke_max_m: f64,
+        /// Largest commanded speed of the end of any section, seen from the base \[m/s\]; 0: no limit.
+        tip_speed_max_m_s: f64,
         /// The sections, base first.
         section: [SectionDescription; SECTIONS_MAX] [used 1 sections],
     }

@@ -302,6 +302,7 @@ impl Computer {
                 guard::CABLE_SPEED,
                 safe.limits_hit.cable_speed,
             ),
+            ("tip speed", guard::TIP_SPEED, safe.limits_hit.tip_speed),
             (
                 "cable stroke",
                 guard::CABLE_STROKE,

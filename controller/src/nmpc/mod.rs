@@ -18,6 +18,7 @@
 //! | `motion` | dynamics: bends over the horizon as a function of the controls (Eq. 4) |
 //! | `pose_error`, `obstacles`, `limits` | cost of one step (Eq. 5) |
 //! | `problem` | cost of a plan and its linear model |
+//! | `pace` | reference of a robot with a speed limit, as far as it can be followed |
 //! | `knowledge`, `escape` | candidates known before the search |
 //! | `solver` | sequence of knowledge, swarm and Gauss-Newton |
 //! | `reachable` | box of the controls; obstacles and limits within reach |
@@ -35,6 +36,7 @@ mod knowledge;
 mod limits;
 mod motion;
 mod obstacles;
+mod pace;
 mod pose_error;
 mod problem;
 mod reachable;
@@ -52,6 +54,7 @@ use crate::optimizer::{Budget, Simd};
 use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Obstacle, Robot};
 use foresight::Foresight;
+use pace::pace;
 use reachable::{Reachable, SolveContext};
 use solver::Solver;
 
@@ -113,6 +116,8 @@ pub struct Nmpc {
     restored_periods: u64,
     solver: Solver,
     foresight: Foresight,
+    /// The reference of a robot with a speed limit, as far as it can be followed.
+    paced: Vec<ReferenceSample>,
 }
 
 impl Clone for Nmpc {
@@ -168,6 +173,7 @@ impl Nmpc {
             restored_periods: 0,
             solver: Solver::with_capacity(simd, unknowns, width * TIED_BLOCKS_MAX),
             foresight: Foresight::with_capacity(unknowns),
+            paced: Vec::with_capacity(HORIZON_STEPS_MAX),
         };
         nmpc.apply(settings);
         nmpc
@@ -251,6 +257,9 @@ impl Nmpc {
 
     /// Computes the rates for the period that begins now (Fig. 2).
     ///
+    /// Where the robot limits the speed of its section ends, a reference that is farther away than its tip can be by
+    /// then is followed at that speed, on the straight line to it.
+    ///
     /// The work is bounded and nothing allocates. The result is never worse than the warm start; when the
     /// budget ends the solve, it is the incumbent. Same input, settings, plan and work give the same bits.
     ///
@@ -270,7 +279,26 @@ impl Nmpc {
             self.forget_plan();
             return (BendRates::zero(n), SolveReport::default());
         }
-        self.solve_within(input, budget)
+        let Some(speed_m_s) = self.robot.tip_speed_max_m_s() else {
+            return self.solve_within(input, budget);
+        };
+        let mut paced = core::mem::take(&mut self.paced);
+        let tip_m = self.robot.tip_position(input.configuration);
+        let step_m = speed_m_s * self.period_s;
+        pace(
+            input.reference,
+            self.horizon.steps(),
+            &tip_m,
+            step_m,
+            &mut paced,
+        );
+        let input = SolveInput {
+            reference: &paced,
+            ..*input
+        };
+        let solved = self.solve_within(&input, budget);
+        self.paced = paced;
+        solved
     }
 
     /// Solves and keeps the previous plan, so that later solves give the same bits as without the rehearsal.

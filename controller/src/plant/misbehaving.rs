@@ -9,7 +9,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::slack_cables::bent_by_slack_cables;
 use super::{Flaws, Sampling};
-use crate::robot::{CABLES_MAX, Configuration, Obstacle, Robot, RobotError, RobotParameters};
+use crate::robot::{CABLES_MAX, Configuration, Obstacle, Robot, RobotError};
 
 /// The model with other section lengths (m), cable distances (m) and cable angles (rad): three numbers for each
 /// section, base first. Sections without an entry are as in the model.
@@ -17,11 +17,7 @@ use crate::robot::{CABLES_MAX, Configuration, Obstacle, Robot, RobotError, Robot
 /// # Errors
 /// If these numbers make no valid robot.
 pub fn true_robot(model: &Robot, geometry: &[[f64; 3]]) -> Result<Robot, RobotError> {
-    let mut truth = RobotParameters {
-        sections: model.sections().to_vec(),
-        cable_speed_max_m_s: model.cable_speed_max_m_s(),
-        cable_stroke_max_m: model.cable_stroke_max_m(),
-    };
+    let mut truth = model.parameters();
     for (section, [length_m, radius_m, angle_rad]) in truth.sections.iter_mut().zip(geometry) {
         section.length_m = *length_m;
         section.cable_radius_m = *radius_m;
@@ -97,11 +93,7 @@ impl MisbehavingRobot {
         flaws: Flaws,
         seed: u64,
     ) -> Result<Self, RobotError> {
-        let mut truth = RobotParameters {
-            sections: model.sections().to_vec(),
-            cable_speed_max_m_s: model.cable_speed_max_m_s(),
-            cable_stroke_max_m: model.cable_stroke_max_m(),
-        };
+        let mut truth = model.parameters();
         for section in &mut truth.sections {
             section.length_m *= 1.0 + flaws.length_error;
             section.cable_radius_m *= 1.0 + flaws.cable_radius_error;

@@ -224,7 +224,7 @@ mod tests {
         #[test]
         fn the_shape_found_is_the_least_squares_one((robot, shape) in robots_and_shapes(), noise_m in -0.002..0.002_f64) {
             // One section: the residual must be orthogonal to the columns of the linear map.
-            let parameters = RobotParameters { sections: vec![robot.sections()[0]], cable_speed_max_m_s: 0.5, cable_stroke_max_m: 0.25 };
+            let parameters = RobotParameters { sections: vec![robot.sections()[0]], ..RobotParameters::paper(1) };
             let robot = Robot::new(&parameters).unwrap();
             let mut measured = robot.cable_lengths(&shape);
             measured[1] += noise_m;

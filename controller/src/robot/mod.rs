@@ -13,6 +13,7 @@
 //! | `section` | pose at the end of one arc, and its derivatives by the bend |
 //! | `kinematics` | poses of the tip, of the section ends and of any point of the body |
 //! | `jacobian` | derivative of the tip pose by the bends |
+//! | `section_ends` | speed of the section ends from the rates |
 //! | `orientation` | a rotation as three angles or as a quaternion |
 //! | `cables` | cable lengths and speeds from bends, and bends from cable lengths |
 //! | `obstacle` | obstacles and their motion |
@@ -45,6 +46,7 @@ mod obstacle;
 mod orientation;
 mod parameters;
 mod section;
+mod section_ends;
 mod tube;
 mod wide;
 

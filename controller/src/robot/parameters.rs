@@ -35,6 +35,8 @@ pub mod ranges {
     pub const CABLE_STROKE_MAX_M: RangeInclusive<f64> = 1e-4..=100.0;
     /// Largest speed of a cable (m/s).
     pub const CABLE_SPEED_MAX_M_S: RangeInclusive<f64> = 1e-4..=100.0;
+    /// Largest speed of the end of a section (m/s), where it is limited.
+    pub const TIP_SPEED_MAX_M_S: RangeInclusive<f64> = 1e-3..=100.0;
 }
 
 crate::parameters! {
@@ -118,6 +120,9 @@ pub struct RobotParameters {
     /// Largest change of a cable's length from that of the straight robot, in either direction (m), in
     /// [`ranges::CABLE_STROKE_MAX_M`]. Set by winches and springs.
     pub cable_stroke_max_m: f64,
+    /// Largest speed of the end of any section, seen from the base (m/s), in [`ranges::TIP_SPEED_MAX_M_S`]; 0: no limit.
+    #[serde(default)]
+    pub tip_speed_max_m_s: f64,
 }
 
 impl RobotParameters {
@@ -137,15 +142,22 @@ impl RobotParameters {
             sections: (0..section_count).map(section).collect(),
             cable_speed_max_m_s: 0.5,
             cable_stroke_max_m: 0.25,
+            tip_speed_max_m_s: 0.0,
         }
     }
 }
 
 impl RobotParameters {
     /// Every parameter of the whole robot with its key and its allowed range, in the order in which the fingerprint
-    /// hashes them.
-    fn checked(&self) -> [(&'static str, f64, RangeInclusive<f64>); 2] {
-        [
+    /// hashes them. A speed of the tip that has no limit is left out.
+    fn checked(&self) -> impl Iterator<Item = (&'static str, f64, RangeInclusive<f64>)> {
+        let tip_speed = (
+            "tip_speed_max_m_s",
+            self.tip_speed_max_m_s,
+            ranges::TIP_SPEED_MAX_M_S,
+        );
+        let tip_speed = (self.tip_speed_max_m_s != 0.0).then_some(tip_speed);
+        let always = [
             (
                 "cable_speed_max_m_s",
                 self.cable_speed_max_m_s,
@@ -156,7 +168,8 @@ impl RobotParameters {
                 self.cable_stroke_max_m,
                 ranges::CABLE_STROKE_MAX_M,
             ),
-        ]
+        ];
+        always.into_iter().chain(tip_speed)
     }
 }
 
@@ -213,7 +226,7 @@ pub enum RobotError {
     },
 }
 
-/// A robot whose parameters are all valid. 608 bytes in fixed arrays, no heap: cheap to clone.
+/// A robot whose parameters are all valid. 616 bytes in fixed arrays, no heap: cheap to clone.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Robot {
     /// The first `section_count` are used; the rest repeat the last.
@@ -221,6 +234,8 @@ pub struct Robot {
     section_count: usize,
     cable_speed_max_m_s: f64,
     cable_stroke_max_m: f64,
+    /// Infinite: no limit.
+    tip_speed_max_m_s: f64,
     /// (cos β, sin β) of each cable of each section, computed once, not in every cycle.
     cable_directions: [[[f64; 2]; 3]; SECTIONS_MAX],
     fingerprint: u64,
@@ -261,6 +276,10 @@ impl Robot {
             section_count,
             cable_speed_max_m_s: parameters.cable_speed_max_m_s,
             cable_stroke_max_m: parameters.cable_stroke_max_m,
+            tip_speed_max_m_s: match parameters.tip_speed_max_m_s {
+                0.0 => f64::INFINITY,
+                limit_m_s => limit_m_s,
+            },
             cable_directions: sections.map(|section| cable_directions(section.cable_offset_rad)),
             fingerprint: fingerprint(parameters),
         })
@@ -306,13 +325,29 @@ impl Robot {
         self.cable_stroke_max_m
     }
 
+    /// Largest speed of the end of any section, seen from the base (m/s), in [`ranges::TIP_SPEED_MAX_M_S`]; `None`: no
+    /// limit.
+    pub fn tip_speed_max_m_s(&self) -> Option<f64> {
+        Some(self.tip_speed_max_m_s).filter(|limit_m_s| limit_m_s.is_finite())
+    }
+
+    /// The parameters of this robot.
+    pub fn parameters(&self) -> RobotParameters {
+        RobotParameters {
+            sections: self.sections().to_vec(),
+            cable_speed_max_m_s: self.cable_speed_max_m_s,
+            cable_stroke_max_m: self.cable_stroke_max_m,
+            tip_speed_max_m_s: self.tip_speed_max_m_s().unwrap_or(0.0),
+        }
+    }
+
     /// Hash of the parameters, by which two processes, or a recording and its replay, verify that they use the same
     /// robot.
     ///
     /// 64-bit FNV-1a over little-endian bytes: the section count (as u64), then the bits of each section's `length_m`,
     /// `cable_radius_m`, `cable_offset_rad`, `bend_max_rad`, `rate_max_rad_s`, `body_radius_m`, base first, then
-    /// `cable_speed_max_m_s` and `cable_stroke_max_m`. The same on every platform. It depends on bits: 0.0 and -0.0
-    /// differ.
+    /// `cable_speed_max_m_s` and `cable_stroke_max_m`, and `tip_speed_max_m_s` if it is a limit. The same on every
+    /// platform. It depends on bits: 0.0 and -0.0 differ.
     pub fn fingerprint(&self) -> u64 {
         self.fingerprint
     }

@@ -249,7 +249,7 @@ mod tests {
     proptest! {
         /// Wherever robot, commanded position and obstacle are, whatever play the cables have and however far the tip is beside: in rest
         /// no component is larger than the ramp's, and zero stays zero; in motion the acceleration holds; the commanded position
-        /// never goes farther out. In every mode zero is zero.
+        /// never goes farther out; no section end is too fast. In every mode zero is zero.
         #[test]
         fn every_rule_holds_after_all_of_them(
             at in prop::array::uniform4(-2.5..2.5_f64),
@@ -262,8 +262,9 @@ mod tests {
             tip_offset_m in prop_oneof![Just(0.0), 0.0..0.1_f64],
             comes_to_rest: bool,
             is_ramp: bool,
+            tip_speed_max_m_s in prop_oneof![Just(0.0), 0.01..0.5_f64],
         ) {
-            let robot = Robot::new(&RobotParameters::paper(2)).unwrap();
+            let robot = Robot::new(&RobotParameters { tip_speed_max_m_s, ..RobotParameters::paper(2) }).unwrap();
             let centre_m = Vector3::from(centre);
             let obstacle = Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap();
             let commanded = configuration(core::array::from_fn(|i| at[i] + off[i]));
@@ -304,6 +305,8 @@ mod tests {
                     prop_assert!(shrinks || rate.abs() <= previous.abs() + 40.0 * PERIOD_S + 1e-12);
                 }
             }
+            let end_m_s = robot.fastest_section_end_m_s(&at, &safe.rates);
+            prop_assert!(tip_speed_max_m_s == 0.0 || end_m_s <= tip_speed_max_m_s * (1.0 + 1e-12));
             let next = commanded.advanced(&safe.rates, PERIOD_S);
             for section in 0..2 {
                 let most = robot.sections()[section].bend_max_rad.max(commanded.bend_rad(section));

@@ -1,4 +1,5 @@
-//! Limits of rates: finite, inside the box, bends inside their limits, cables inside their speed and stroke.
+//! Limits of rates: finite, inside the box, bends inside their limits, cables inside their speed and stroke, section ends
+//! inside their speed.
 
 mod stops;
 
@@ -25,6 +26,8 @@ pub struct LimitsHit {
     pub bend: bool,
     /// A cable would have been too fast.
     pub cable_speed: bool,
+    /// The end of a section would have been too fast.
+    pub tip_speed: bool,
     /// A cable would have left its stroke.
     pub cable_stroke: bool,
     /// A rate would have grown faster than the largest acceleration.
@@ -44,6 +47,7 @@ impl LimitsHit {
             rate: self.rate || other.rate,
             bend: self.bend || other.bend,
             cable_speed: self.cable_speed || other.cable_speed,
+            tip_speed: self.tip_speed || other.tip_speed,
             cable_stroke: self.cable_stroke || other.cable_stroke,
             acceleration: self.acceleration || other.acceleration,
             non_finite: self.non_finite || other.non_finite,
@@ -69,6 +73,8 @@ pub struct Limited {
 ///   shrink.
 /// * Cables are inside their speed limit. At the end of the path, they are inside their stroke about the
 ///   lengths of the straight robot; a cable beyond its stroke may only return.
+/// * The end of each section is inside the robot's speed limit, if it has one, in the shape in which the command
+///   begins.
 ///
 /// Zero rates satisfy all limits. With any permitted rates, all shorter rates in the same direction are
 /// permitted.
@@ -84,6 +90,8 @@ pub struct Limits<'a> {
     least_rad_s: Vector,
     most_rad_s: Vector,
     path_s: f64,
+    /// Largest speed of the section ends \[m/s\]; infinite: no limit.
+    tip_speed_max_m_s: f64,
     /// Motion after the command, if the robot does not stop at once: slower rates have a shorter path.
     stopping: Option<Stopping>,
 }
@@ -104,6 +112,7 @@ impl<'a> Limits<'a> {
             least_rad_s: [f64::NEG_INFINITY; COORDINATES_MAX],
             most_rad_s: [f64::INFINITY; COORDINATES_MAX],
             path_s,
+            tip_speed_max_m_s: robot.tip_speed_max_m_s().unwrap_or(f64::INFINITY),
             stopping: None,
         }
     }
@@ -133,14 +142,25 @@ impl<'a> Limits<'a> {
     }
 
     /// The permitted command nearest to `desired`, and not faster. Unchanged if `desired` is permitted; zero
-    /// if `desired` or the state is not finite.
+    /// if `desired` or the state is not finite. The speed limit of the section ends then scales the nearest command
+    /// inside all other limits down, in the same direction.
     pub fn nearest(&self, desired: &BendRates) -> Limited {
         let hit = self.broken(desired);
+        let others_hit = LimitsHit {
+            tip_speed: false,
+            ..hit
+        };
         let rates = if hit.non_finite {
             BendRates::zero(self.robot.section_count())
-        } else if hit.any() {
-            self.nearest_that_stops(desired)
-                .unwrap_or_else(|| self.shortened(desired))
+        } else if others_hit.any() {
+            let others = Self {
+                tip_speed_max_m_s: f64::INFINITY,
+                ..*self
+            };
+            let nearest = others.nearest_that_stops(desired);
+            self.within_tip_speed(nearest.unwrap_or_else(|| others.shortened(desired)))
+        } else if hit.tip_speed {
+            self.within_tip_speed(*desired)
         } else {
             *desired
         };
@@ -162,10 +182,10 @@ impl<'a> Limits<'a> {
         Limited { rates, hit }
     }
 
-    /// `rates`, scaled down together to the largest rates, acceleration and cable speed, in the same
-    /// direction.
+    /// `rates`, scaled down together to the largest rates, acceleration and speeds of cables and section ends, in
+    /// the same direction.
     pub(super) fn straight(&self, rates: &BendRates) -> BendRates {
-        let mut share = self.speed_share(rates);
+        let mut share = self.speed_share(rates).min(self.tip_speed_share(rates));
         for (i, rate) in rates.as_slice().iter().enumerate() {
             let most = if *rate < 0.0 {
                 -self.lower_rad_s(i)
@@ -198,6 +218,7 @@ impl<'a> Limits<'a> {
             hit.acceleration |= *rate < self.least_rad_s[i] || *rate > self.most_rad_s[i];
         }
         hit.cable_speed = self.speed_share(rates) < 1.0;
+        hit.tip_speed = self.tip_speed_share(rates) < 1.0;
         for at in self.configurations() {
             let sections = 0..self.robot.section_count();
             hit.bend |= sections
@@ -239,6 +260,13 @@ impl<'a> Limits<'a> {
             let share = self.stroke_share(at, &rates);
             scale(rates.as_mut_slice(), share);
         }
+        self.within_tip_speed(rates)
+    }
+
+    /// `rates`, scaled down to the speed limit of the section ends.
+    fn within_tip_speed(&self, mut rates: BendRates) -> BendRates {
+        let share = self.tip_speed_share(&rates);
+        scale(rates.as_mut_slice(), share);
         rates
     }
 
@@ -265,6 +293,22 @@ impl<'a> Limits<'a> {
             .iter()
             .fold(0.0_f64, |most, speed| most.max(speed.abs()));
         (self.robot.cable_speed_max_m_s() / fastest_m_s).min(1.0)
+    }
+
+    /// Share of the rates that the speed limit of the section ends permits: their velocities are linear in the rates.
+    fn tip_speed_share(&self, rates: &BendRates) -> f64 {
+        let limit_m_s = self.tip_speed_max_m_s;
+        if limit_m_s == f64::INFINITY {
+            return 1.0;
+        }
+        let fastest_m_s = self.robot.fastest_section_end_m_s(self.at, rates);
+        if fastest_m_s <= limit_m_s {
+            1.0
+        } else if fastest_m_s.is_nan() {
+            0.0
+        } else {
+            limit_m_s / fastest_m_s
+        }
     }
 
     /// Share of the rates that all cable strokes permit; strokes are linear in the bends.

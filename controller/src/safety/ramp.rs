@@ -26,7 +26,7 @@ pub fn ramp_to_zero(previous: &BendRates, deceleration_rad_s2: f64, period_s: f6
 }
 
 /// Rates on the straight line to the straight robot, with the fastest component at `rate_rad_s`; zero on
-/// arrival. If a section's rate, a cable's speed or the acceleration (`change_rad_s` from the `previous`
+/// arrival. If a section's rate, the speed of a cable or of a section end, or the acceleration (`change_rad_s` from the `previous`
 /// command) does not permit that, all components are slower, so the limits do not bend the line.
 pub fn homing_rates(
     robot: &Robot,
@@ -99,10 +99,18 @@ mod tests {
         let slow_section = Robot::new(&parameters).expect("a slow section");
         parameters.cable_speed_max_m_s = 0.004;
         let slow_cables = Robot::new(&parameters).expect("slow cables");
+        let slow_tip = RobotParameters {
+            tip_speed_max_m_s: 0.1,
+            ..RobotParameters::paper(2)
+        };
+        let slow_tip = Robot::new(&slow_tip).expect("a slow tip");
         let begin = at([1.0, -0.5, 0.8, 0.25]);
-        for (robot, acceleration_rad_s2) in
-            [(&slow_section, 1e9), (&slow_cables, 1e9), (&robot(), 3.0)]
-        {
+        for (robot, acceleration_rad_s2) in [
+            (&slow_section, 1e9),
+            (&slow_cables, 1e9),
+            (&slow_tip, 1e9),
+            (&robot(), 3.0),
+        ] {
             let change = acceleration_rad_s2 * PERIOD_S;
             let (mut bend, mut rates) = (begin, BendRates::zero(2));
             for _ in 0..2000 {

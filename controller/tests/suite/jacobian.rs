@@ -97,7 +97,7 @@ proptest! {
         // Independent of differences: the velocity of the tip relative to the first joint is ω × lever arm.
         let mut whole = Jacobian::new();
         let tip = robot.tip_jacobian(&shape, &mut whole).position_m;
-        let first = Robot::new(&RobotParameters { sections: vec![robot.sections()[0]], cable_speed_max_m_s: 0.5, cable_stroke_max_m: 0.25 }).unwrap();
+        let first = Robot::new(&RobotParameters { sections: vec![robot.sections()[0]], ..RobotParameters::paper(1) }).unwrap();
         let mut own = Jacobian::new();
         let end = first.tip_jacobian(&shape, &mut own).position_m;
         for i in 0..2 {

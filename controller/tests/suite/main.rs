@@ -22,6 +22,7 @@ mod safety;
 mod scenes;
 mod subnormal;
 mod tip_sensor;
+mod tip_speed;
 
 use cdcr_controller::nmpc::SolveInput;
 use cdcr_controller::reference::{ReferenceSample, ReferenceState};

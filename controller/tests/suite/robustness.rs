@@ -61,7 +61,7 @@ fn worst(name: &str, driven: Driven) -> Figures {
 }
 
 /// An ideal robot whose state is estimated as behind a driver.
-fn driven(flaws: Flaws) -> Driven {
+pub(crate) fn driven(flaws: Flaws) -> Driven {
     Driven {
         flaws,
         actuator: Actuator::IDEAL,

@@ -247,9 +247,14 @@ fn summary(validated: &Validated) -> Vec<String> {
     ];
     lines.extend(sections);
     let actuator = &config.actuator;
+    let tip_speed = robot
+        .tip_speed_max_m_s()
+        .map_or_else(String::new, |limit_m_s| {
+            format!("; section ends ≤ {limit_m_s} m/s")
+        });
     lines.extend([
         format!(
-            "motors     {}, delay {} ms, lag {} ms, play {} m; cables ≤ {} m/s, stroke ≤ {} m (at full bend {:.3} m)",
+            "motors     {}, delay {} ms, lag {} ms, play {} m; cables ≤ {} m/s, stroke ≤ {} m (at full bend {:.3} m){tip_speed}",
             as_written(&config.link.interface),
             actuator.delay_ms,
             actuator.time_constant_ms,

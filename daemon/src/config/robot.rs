@@ -13,6 +13,9 @@ table! {
         /// Largest stroke of a cable, pulled or paid out, from the straight robot, {range}. All
         /// rates are scaled down together to respect it.
         cable_stroke_max_m: f64 = RobotParameters::paper(0).cable_stroke_max_m, in robot::ranges::CABLE_STROKE_MAX_M;
+        /// Largest commanded speed of the end of any section, the tip included, {range}, and at least 0.001; 0: no limit. All rates are
+        /// scaled down together to respect it: it bounds how fast a wrong sensor or model can drive the robot.
+        tip_speed_max_m_s: f64 = 0.0, in 0.0..=*robot::ranges::TIP_SPEED_MAX_M_S.end(), usual 0.0..=5.0;
         /// Bending sections, base first: 1 to 6 tables, each with every key.
         sections: Vec<SectionParameters> = RobotParameters::paper(3).sections;
     }
@@ -37,6 +40,7 @@ impl RobotConfig {
             sections: self.sections.clone(),
             cable_speed_max_m_s: self.cable_speed_max_m_s,
             cable_stroke_max_m: self.cable_stroke_max_m,
+            tip_speed_max_m_s: self.tip_speed_max_m_s,
         };
         Robot::new(&parameters)
             .map_err(|error| origins.error(&[&key_of(&error)], &error.to_string()))

@@ -23,6 +23,7 @@ pub fn robot(robot: &Robot) -> wire::RobotDescription {
         fingerprint: robot.fingerprint(),
         cable_speed_max_m_s: robot.cable_speed_max_m_s(),
         cable_stroke_max_m: robot.cable_stroke_max_m(),
+        tip_speed_max_m_s: robot.tip_speed_max_m_s().unwrap_or(0.0),
         ..wire::RobotDescription::default()
     };
     for (target, section) in description.section.iter_mut().zip(robot.sections()) {
@@ -332,6 +333,7 @@ pub fn guard_flags(record: &CycleRecord) -> u32 {
         (hit.rate, codes::guard::RATE),
         (hit.bend, codes::guard::BEND),
         (hit.cable_speed, codes::guard::CABLE_SPEED),
+        (hit.tip_speed, codes::guard::TIP_SPEED),
         (hit.cable_stroke, codes::guard::CABLE_STROKE),
         (hit.acceleration, codes::guard::ACCELERATION),
         (hit.non_finite, codes::guard::NON_FINITE),

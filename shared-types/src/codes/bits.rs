@@ -47,6 +47,8 @@ wire_bits! {
         CABLE_STROKE = 5: "cable stroke";
         /// A rate was kept within the largest acceleration.
         ACCELERATION = 6: "acceleration";
+        /// All rates were scaled down to the speed limit of the section ends.
+        TIP_SPEED = 7: "tip speed";
     }
 
     /// Bits of [`Status::realtime_missing`](crate::Status::realtime_missing).

@@ -15,8 +15,14 @@ fn no_solver_touches_the_heap() {
     // Tight limits, so that stroke and speed are active, too.
     parameters.cable_stroke_max_m = 0.03;
     parameters.cable_speed_max_m_s = 0.04;
-    let robot = Robot::new(&parameters).unwrap();
-    for solver in SolverKind::ALL {
+    let free = Robot::new(&parameters).unwrap();
+    // The reference is paced.
+    parameters.tip_speed_max_m_s = 0.05;
+    let slow = Robot::new(&parameters).unwrap();
+    for (solver, robot) in SolverKind::ALL
+        .into_iter()
+        .flat_map(|solver| [(solver, &free), (solver, &slow)])
+    {
         // Six blocks without a weight on changes of rates: the smoother.
         for (coordinates, control_blocks, rate_change_weight) in [
             (Coordinates::BendVector, 3, 1e-9),

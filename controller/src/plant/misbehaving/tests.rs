@@ -2,6 +2,7 @@ use super::*;
 use crate::estimator::Actuator;
 use crate::plant::FlawError;
 use crate::plant::Preset;
+use crate::robot::RobotParameters;
 use crate::robot::{BendRates, Shape};
 
 const STEP_S: f64 = 0.001;

@@ -132,6 +132,42 @@ fn cable_radius_stays_below_length_and_cable_speed_in_its_range() {
     }
 }
 
+/// Recordings and configurations from before the limit describe the same robot.
+#[test]
+fn without_a_limit_of_the_tip_speed_nothing_is_another() {
+    let mut parameters = RobotParameters::paper(3);
+    let without = Robot::new(&parameters).unwrap();
+    assert_eq!(without.tip_speed_max_m_s(), None);
+    assert_eq!(without.fingerprint(), 0x35a2_f12a_651c_d4cd);
+    assert_eq!(without.parameters(), parameters);
+    let text = serde_json::to_string(&parameters).unwrap();
+    let older = text.replace(",\"tip_speed_max_m_s\":0.0", "");
+    assert!(older.len() < text.len());
+    assert_eq!(
+        serde_json::from_str::<RobotParameters>(&older).unwrap(),
+        parameters
+    );
+    for (value, is_valid) in [
+        (0.001, true),
+        (100.0, true),
+        (-0.0, true),
+        (0.0009, false),
+        (100.1, false),
+        (-1.0, false),
+        (f64::NAN, false),
+        (f64::INFINITY, false),
+    ] {
+        parameters.tip_speed_max_m_s = value;
+        let robot = Robot::new(&parameters);
+        assert_eq!(robot.is_ok(), is_valid, "{value}");
+        if let Ok(robot) = robot {
+            let limit_m_s = robot.tip_speed_max_m_s();
+            assert_eq!(limit_m_s, Some(value).filter(|value| *value > 0.0));
+            assert_eq!(robot.parameters(), parameters);
+        }
+    }
+}
+
 #[test]
 fn fingerprint_is_fnv_1a_and_depends_on_every_bit_of_every_parameter() {
     // The published test vector: FNV-1a-64 of one byte 'a' is af63dc4c8601ec8c.
@@ -162,6 +198,12 @@ fn fingerprint_is_fnv_1a_and_depends_on_every_bit_of_every_parameter() {
     let mut changed = paper.clone();
     changed.cable_speed_max_m_s = changed.cable_speed_max_m_s.next_up();
     seen.push(of(&changed));
+    for tip_speed_max_m_s in [0.1, 0.1_f64.next_up()] {
+        seen.push(of(&RobotParameters {
+            tip_speed_max_m_s,
+            ..paper.clone()
+        }));
+    }
     let count = seen.len();
     seen.sort_unstable();
     seen.dedup();

@@ -216,3 +216,77 @@ fn no_cable_leaves_its_stroke_and_one_beyond_it_comes_back() {
         (desired_rates, LimitsHit::default())
     );
 }
+
+/// A robot whose section ends move at most at `tip_speed_max_m_s`.
+fn slow_robot(tip_speed_max_m_s: f64) -> Robot {
+    let parameters = RobotParameters {
+        tip_speed_max_m_s,
+        ..RobotParameters::paper(2)
+    };
+    Robot::new(&parameters).expect("legal")
+}
+
+proptest! {
+    /// Wherever the robot is and whatever else limits it, no end of a section is faster than its limit, in motion and
+    /// on a ramp; the flag is set where it would have been. Without the flag, the command is that of a robot without
+    /// the limit, to the bit. All shorter rates in the same direction pass unchanged.
+    #[test]
+    fn no_end_of_a_section_exceeds_its_speed(
+        bends in prop::array::uniform4(-2.7..2.7_f64),
+        previous in prop::array::uniform4(-2.0..2.0_f64),
+        desired_rates in prop::array::uniform4(-3.0..3.0_f64),
+        limit_m_s in prop_oneof![0.001..0.1_f64, 0.1..2.0_f64],
+        change_rad_s in prop_oneof![Just(f64::INFINITY), 0.0..1.0_f64],
+        stroke_m in prop_oneof![Just(0.25), 0.001..0.1_f64],
+        shorter in 0.0..1.0_f64,
+    ) {
+        let parameters = RobotParameters { cable_stroke_max_m: stroke_m, ..slow_robot(limit_m_s).parameters() };
+        let slow = Robot::new(&parameters).expect("legal");
+        let free = Robot::new(&RobotParameters { tip_speed_max_m_s: 0.0, ..parameters }).expect("legal");
+        let (at, previous, desired_rates) = (at(bends), rates(previous), rates(desired_rates));
+        let limits = |robot| Limits::new(robot, &at, PERIOD_S).with_acceleration(&previous, change_rad_s);
+        let (slow, free) = (limits(&slow), limits(&free));
+        for (limited, free) in [
+            (slow.nearest(&desired_rates), free.nearest(&desired_rates)),
+            (slow.shorten(&desired_rates), free.shorten(&desired_rates)),
+        ] {
+            let speed_m_s = slow.robot.fastest_section_end_m_s(&at, &limited.rates);
+            prop_assert!(speed_m_s <= limit_m_s * (1.0 + 1e-12), "{speed_m_s} m/s");
+            let desired_m_s = slow.robot.fastest_section_end_m_s(&at, &desired_rates);
+            prop_assert_eq!(limited.hit.tip_speed, desired_m_s > limit_m_s);
+            prop_assert_eq!(LimitsHit { tip_speed: false, ..limited.hit }, free.hit);
+            if free.rates == limited.rates {
+                continue;
+            }
+            // Only where the other limits permit more than this one; then it is used up.
+            let others_m_s = slow.robot.fastest_section_end_m_s(&at, &free.rates);
+            prop_assert!(others_m_s > limit_m_s && speed_m_s > limit_m_s * (1.0 - 1e-12));
+            for (rate, free) in limited.rates.as_slice().iter().zip(free.rates.as_slice()) {
+                prop_assert!((rate - free * limit_m_s / others_m_s).abs() < 1e-14);
+            }
+        }
+        let mut shortened = slow.nearest(&desired_rates).rates;
+        shortened.as_mut_slice().iter_mut().for_each(|rate| *rate *= 0.999 * shorter);
+        let hit = slow.nearest(&shortened).hit;
+        prop_assert!(!hit.any(), "{hit:?}");
+        let straight = slow.straight(&desired_rates);
+        let speed_m_s = slow.robot.fastest_section_end_m_s(&at, &straight);
+        prop_assert!(speed_m_s <= limit_m_s * (1.0 + 1e-12), "{speed_m_s} m/s");
+    }
+}
+
+/// Rates whose speed is no number move nothing, and rest is rest.
+#[test]
+fn a_tip_speed_that_overflows_permits_no_rates() {
+    let robot = slow_robot(0.1);
+    let far = at([1e160, 0.0, 1e200, 1.0]);
+    let limits = Limits::new(&robot, &far, PERIOD_S);
+    for desired_rates in [rates([1.0; 4]), rates([f64::MAX; 4]), BendRates::zero(2)] {
+        for limited in [
+            limits.nearest(&desired_rates),
+            limits.shorten(&desired_rates),
+        ] {
+            assert_eq!(limited.rates, BendRates::zero(2));
+        }
+    }
+}

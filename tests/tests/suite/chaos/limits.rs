@@ -95,6 +95,7 @@ pub(crate) fn check_record(robot: &Robot, record: &Telemetry, period_s: f64) -> 
     ensure(same, || "the command is another cycle's".to_owned())?;
     let width = robot.coordinate_count();
     check_acceleration(record, width, period_s)?;
+    check_tip_speed(robot, record)?;
     let from = &record.bend_rad[..width];
     let pairs = from.iter().zip(&command.bend_rate_rad_s);
     let target: Vec<f64> = pairs.map(|(from, rate)| from + period_s * rate).collect();
@@ -106,6 +107,19 @@ pub(crate) fn check_record(robot: &Robot, record: &Telemetry, period_s: f64) -> 
     let finite = state.into_iter().all(|number| number.is_finite());
     ensure(finite, || "the state of a record is not finite".to_owned())?;
     check(robot, command, period_s)
+}
+
+/// No end of a section is commanded faster than its limit, in any mode.
+fn check_tip_speed(robot: &Robot, record: &Telemetry) -> CheckResult {
+    let Some(limit_m_s) = robot.tip_speed_max_m_s() else {
+        return Ok(());
+    };
+    let width = robot.coordinate_count();
+    let rates = turning(&record.command.bend_rate_rad_s[..width]);
+    let speed_m_s = robot.fastest_section_end_m_s(&bent(&record.bend_rad[..width]), &rates);
+    ensure(speed_m_s <= limit_m_s + TOLERANCE, || {
+        format!("the end of a section is commanded at {speed_m_s} m/s")
+    })
 }
 
 /// No rate grows faster than the acceleration limit; deceleration is not limited.
@@ -188,5 +202,29 @@ mod tests {
         let mut other = command(slow, straight);
         other.cable_length_m[4] += 1e-6;
         assert!(check(&robot(), &other, 0.005).is_err());
+    }
+
+    #[test]
+    fn a_tip_that_is_too_fast_is_found() {
+        let parameters = RobotParameters {
+            tip_speed_max_m_s: 0.1,
+            ..robot().parameters()
+        };
+        let slow = Robot::new(&parameters).unwrap();
+        for (robot, rate_rad_s, is_kept) in [
+            (&slow, 0.13, true),
+            (&slow, 0.14, false),
+            (&robot(), 0.14, true),
+        ] {
+            let record = Telemetry {
+                command: command([rate_rad_s, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 6]),
+                ..Telemetry::default()
+            };
+            assert_eq!(
+                check_tip_speed(robot, &record).is_ok(),
+                is_kept,
+                "{rate_rad_s}"
+            );
+        }
     }
 }

@@ -46,7 +46,7 @@ pub(crate) fn ensure(condition: bool, broken: impl FnOnce() -> String) -> CheckR
 /// As in operation, with these exceptions. Cable limits become active, and the lease is short. The leaky
 /// bucket is not filled by stalls, because a machine with one bad release in ten never drains it. Commands
 /// are valid while an exchange on a busy core is delayed. The watchdog tolerates a stalled machine.
-const CONFIGURATION: &str = "[robot]\ncable_speed_max_m_s = 0.06\ncable_stroke_max_m = 0.06\n\
+const CONFIGURATION: &str = "[robot]\ncable_speed_max_m_s = 0.06\ncable_stroke_max_m = 0.06\ntip_speed_max_m_s = 0.3\n\
     [cycle]\nmiss_limit = 1000000\nwatchdog_ms = 10000.0\n[reference]\nlease_ms = 200.0\n";
 
 /// A run of this length must contain every kind of bad message.

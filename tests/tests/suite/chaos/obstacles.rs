@@ -35,8 +35,7 @@ fn draw(dice: &mut Dice, record: &Telemetry, robot: &Robot, gap_m: f64) -> Obsta
     let sections = 1 + dice.below(record.robot.sections) as usize;
     let part = Robot::new(&RobotParameters {
         sections: robot.sections()[..sections].to_vec(),
-        cable_speed_max_m_s: robot.cable_speed_max_m_s(),
-        cable_stroke_max_m: robot.cable_stroke_max_m(),
+        ..robot.parameters()
     });
     let point = part.unwrap().tip_position(&configuration_of(record));
     let radius_m = dice.between(0.005, 0.05);

@@ -5,18 +5,21 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use cdcr_client::model::robot_of;
 use cdcr_client::replay::{Outcome, Replayer};
 use cdcr_client::{FeedError, FeedEvent, Line, Spiral, Trajectory as Curve, events};
 use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::robot::{BendRates, Configuration};
 use cdcr_shared_types::codes::{
-    EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome as Answer, Reason,
+    EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome as Answer, Reason, guard,
 };
 use cdcr_shared_types::{ReferenceChunk, Telemetry};
 
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, EndWhenDropped, PATIENT, TIMEOUT, ball, tracked, until_undisturbed, wait_mode,
+    Daemon, EndWhenDropped, PATIENT, TIMEOUT, ball, paper_line, tracked, until_undisturbed,
+    wait_mode,
 };
 
 /// Numbers of solves, of commands changed by the guard, and of those changed only because of the play of the
@@ -284,4 +287,32 @@ fn cycles_of_a_robot_whose_tip_is_beside_its_bends_are_computed_again_bit_for_bi
     assert!(beside > 50, "{beside} of {}", recording.records.len());
     let replayed = recording.replay();
     assert!(replayed.guarded > 10, "{replayed:?}");
+}
+
+/// A reference of 0.3 m/s leaves a tip behind that may move at 0.05 m/s. No command is faster, and every cycle is
+/// recomputed with the limit of its record.
+#[test]
+fn a_reference_above_the_speed_limit_is_followed_at_the_limit_and_replayed() {
+    const LIMIT_M_S: f64 = 0.05;
+    let configuration = format!(
+        "{PATIENT}[robot]\ntip_speed_max_m_s = {LIMIT_M_S}\n[link]\nsimulated = \"laboratory\"\n"
+    );
+    let line = Line {
+        velocity_m_s: [0.28, 0.0, -0.1],
+        ..paper_line(0.7)
+    };
+    let recording = Recording::make(&configuration, &[], &line);
+    recording.replay();
+    let robot = robot_of(&recording.records[0].robot).unwrap();
+    assert_eq!(robot.tip_speed_max_m_s(), Some(LIMIT_M_S));
+    let (mut fastest_m_s, mut limited) = (0.0_f64, 0);
+    for record in &recording.records {
+        let at = Configuration::from_slice(&record.bend_rad[..6]).unwrap();
+        let rates = BendRates::from_slice(&record.command.bend_rate_rad_s[..6]).unwrap();
+        fastest_m_s = fastest_m_s.max(robot.fastest_section_end_m_s(&at, &rates));
+        limited += u32::from(record.guard_flags & guard::TIP_SPEED != 0);
+    }
+    println!("{fastest_m_s} m/s, {limited} cycles at the limit");
+    assert!(limited > 50 && fastest_m_s > 0.99 * LIMIT_M_S);
+    assert!(fastest_m_s <= LIMIT_M_S * (1.0 + 1e-9));
 }

@@ -75,12 +75,7 @@ fn of_recording(options: &GeometryOptions) -> anyhow::Result<(RobotParameters, R
 }
 
 fn described(description: &RobotDescription) -> anyhow::Result<RobotParameters> {
-    let robot = robot_of(description)?;
-    Ok(RobotParameters {
-        sections: robot.sections().to_vec(),
-        cable_speed_max_m_s: robot.cable_speed_max_m_s(),
-        cable_stroke_max_m: robot.cable_stroke_max_m(),
-    })
+    Ok(robot_of(description)?.parameters())
 }
 
 /// The robot of a configuration file; without sections, the default one.

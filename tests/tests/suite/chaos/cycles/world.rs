@@ -467,7 +467,7 @@ fn configuration(dice: &mut Dice) -> String {
          [cycle]\nmiss_limit = {}\n\
          [actuator]\ndelay_ms = {}\ntime_constant_ms = {}\nplay_m = {}\n\
          [motion]\ndeceleration_rad_s2 = {:.2}\nacceleration_rad_s2 = {:.2}\n\
-         [robot]\ncable_speed_max_m_s = {:.3}\ncable_stroke_max_m = {:.3}\n",
+         [robot]\ncable_speed_max_m_s = {:.3}\ncable_stroke_max_m = {:.3}\ntip_speed_max_m_s = {:.3}\n",
         dice.pick(&["velocity", "position"]),
         dice.pick(&["0.0", "40.0"]),
         dice.pick(&["0", "1000000"]),
@@ -478,6 +478,7 @@ fn configuration(dice: &mut Dice) -> String {
         dice.between(10.0, 80.0),
         dice.between(0.03, 0.2),
         dice.between(0.03, 0.2),
+        [0.0, dice.between(0.02, 0.5)][dice.below(2) as usize],
     );
     for _ in 0..=dice.below(6) {
         writeln!(
