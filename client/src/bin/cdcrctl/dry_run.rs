@@ -6,6 +6,8 @@
 //! maxima. The guard has the daemon's stopping path, and keeps the margin of the present tip offset. A real
 //! robot has motors, play and noise: near obstacles it may achieve less.
 
+mod held_back;
+
 use std::fmt;
 use std::io::Write;
 use std::time::Duration;
@@ -23,6 +25,7 @@ use nalgebra::Vector3;
 
 use crate::bar::Bar;
 use crate::interrupt::Interrupt;
+use held_back::HeldBack;
 
 /// Maximum duration of the move to the first point \[s\].
 const MOVE_MAX_S: f64 = 30.0;
@@ -31,8 +34,6 @@ const NEARER_M: f64 = 1e-6;
 const STALL_CYCLES: u32 = 100;
 /// A robot this near to the safe distance is held back by an obstacle \[m\].
 const NEAR_M: f64 = 5e-3;
-/// A cable this near to its largest stroke, as a share of it, is held back by it.
-const AT_LIMIT: f64 = 1e-3;
 /// Maximum number of cycles of a simulated reference.
 const CYCLES_MAX: u64 = 200_000;
 /// A file with rows farther apart than this may have times in milliseconds \[s\].
@@ -61,8 +62,8 @@ pub(crate) struct Demands {
     error_end_m: f64,
     /// Time \[s\] and point \[m\] of the largest error.
     farthest: (f64, [f64; 3]),
-    /// Whether a cable was at its largest stroke there.
-    missed_at_stroke_limit: bool,
+    /// The limit that held the robot back there.
+    missed_at: Option<HeldBack>,
     end_m: [f64; 3],
     stroke_max_m: f64,
     safe_distance_m: f64,
@@ -77,8 +78,8 @@ struct Motion {
     acceleration_rad_s2: f64,
     bend_rad: f64,
     stroke_m: f64,
-    /// Of the newest period.
-    is_at_stroke_limit: bool,
+    /// In the newest period.
+    held_back: Option<HeldBack>,
     clearance_m: f64,
 }
 
@@ -260,7 +261,7 @@ impl Motion {
         acceleration_rad_s2: 0.0,
         bend_rad: 0.0,
         stroke_m: 0.0,
-        is_at_stroke_limit: false,
+        held_back: None,
         clearance_m: f64::INFINITY,
     };
 
@@ -291,8 +292,7 @@ impl Motion {
         let strokes_m = closed.robot().cable_strokes(closed.configuration());
         let largest_m = strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()));
         self.stroke_m = self.stroke_m.max(largest_m);
-        self.is_at_stroke_limit =
-            largest_m > (1.0 - AT_LIMIT) * closed.robot().cable_stroke_max_m();
+        self.held_back = HeldBack::newest(closed, largest_m);
         self.clearance_m = self.clearance_m.min(closed.clearance_m());
     }
 
@@ -313,7 +313,7 @@ impl Demands {
             error_max_m: 0.0,
             error_end_m: 0.0,
             farthest: (0.0, [0.0; 3]),
-            missed_at_stroke_limit: false,
+            missed_at: None,
             end_m: [0.0; 3],
             stroke_max_m: robot.cable_stroke_max_m(),
             safe_distance_m: settings.safe_distance_m,
@@ -327,7 +327,7 @@ impl Demands {
         (self.error_end_m, self.end_m) = (error_m, point_m);
         if error_m > self.error_max_m {
             (self.error_max_m, self.farthest) = (error_m, (time_s, point_m));
-            self.missed_at_stroke_limit = self.along.is_at_stroke_limit;
+            self.missed_at = self.along.held_back;
         }
     }
 
@@ -346,16 +346,12 @@ impl Demands {
 
     /// Cause and remedy where a point is missed by more than `allowed_m`, although the bends allow every point ([`reach`](crate::reach)).
     pub(crate) fn miss(&self, allowed_m: f64) -> Option<(String, &'static str)> {
-        let (cause, remedy) = if self.missed_at_stroke_limit {
-            (
-                self.stroke_limit(),
-                "use a smaller reference, or correct a limit that is not the robot's",
-            )
-        } else {
-            (
+        let (cause, remedy) = match self.missed_at {
+            Some(limit) => (limit.to_string(), limit.remedy()),
+            None => (
                 "too fast, or obstructed".to_owned(),
                 "use a lower --speed, or remove obstacles",
-            )
+            ),
         };
         let cause = || {
             format!(
@@ -391,13 +387,6 @@ impl Demands {
         Ok(())
     }
 
-    fn stroke_limit(&self) -> String {
-        format!(
-            "a cable is at its limit, robot.cable_stroke_max_m = {}",
-            self.stroke_max_m
-        )
-    }
-
     /// Text for the point with the largest error.
     fn missed(&self) -> String {
         let (time_s, point_m) = self.farthest;
@@ -407,15 +396,11 @@ impl Demands {
     /// Fails when the end is missed by more than `allowed_m`.
     pub(crate) fn check_end(&self, allowed_m: f64) -> anyhow::Result<()> {
         if self.error_end_m > allowed_m {
-            let at_limit = self.along.is_at_stroke_limit;
+            let limit = self.along.held_back.map(|limit| format!(": {limit}"));
             bail!(
                 "not reachable: {}{}{}; nothing moved",
                 away(self.error_end_m, self.end_m),
-                if at_limit {
-                    format!(": {}", self.stroke_limit())
-                } else {
-                    String::new()
-                },
+                limit.unwrap_or_default(),
                 self.obstruction()
             );
         }

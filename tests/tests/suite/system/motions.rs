@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use cdcr_client::model::robot_of;
+use cdcr_controller::robot::{BendRates, Configuration};
 use cdcr_shared_types::codes::{Mode, Reason};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{
@@ -407,4 +409,36 @@ fn a_simulated_robot_is_refused_beside_a_driver() {
     // The driver's robot is measured and commanded as before.
     let status = daemon.connect().status(cdcr_tests::TIMEOUT).unwrap();
     assert_eq!((status.mode, status.faults), (Mode::Holding.code(), 0));
+}
+
+/// Commands that would leave the tip behind are refused before anything moves; slower ones and the way home keep the limit.
+#[test]
+fn a_speed_above_the_limit_of_the_tip_is_refused_with_the_limit_and_home_keeps_it() {
+    let daemon = Daemon::start(&format!("{PATIENT}[robot]\ntip_speed_max_m_s = 0.1\n"));
+    let limit = "at this --speed a section end is at its limit, robot.tip_speed_max_m_s = 0.1";
+    let refused = says(
+        &daemon,
+        "goto 0.25,0.02,0.82 --speed 0.6 --acceleration 9",
+        1,
+    );
+    assert!(refused.contains(limit), "{refused}");
+    let fast = "ref circle --radius 0.05 --rate 6 --dry-run";
+    let refused = says(&daemon, fast, 1);
+    assert!(refused.contains(limit), "{refused}");
+    until_undisturbed("the tip goes to a point and home", || {
+        says_unless_stalled(&daemon, "goto 0.15,0.02,0.86 --speed 0.08")?;
+        let mut telemetry = daemon.connect().telemetry().unwrap();
+        says(&daemon, "home --wait", 0);
+        let (mut fastest_m_s, mut limited) = (0.0_f64, 0);
+        while let Some(record) = telemetry.try_next().unwrap() {
+            let robot = robot_of(&record.robot).unwrap();
+            let at = Configuration::from_slice(&record.bend_rad[..6]).unwrap();
+            let rates = BendRates::from_slice(&record.command.bend_rate_rad_s[..6]).unwrap();
+            fastest_m_s = fastest_m_s.max(robot.fastest_section_end_m_s(&at, &rates));
+            limited += u32::from(record.mode == Mode::Homing.code());
+        }
+        println!("home at {fastest_m_s} m/s in {limited} cycles");
+        assert!(fastest_m_s <= 0.1 * (1.0 + 1e-9));
+        (fastest_m_s > 0.099).then_some(())
+    });
 }

@@ -66,6 +66,26 @@ fn an_orientation_that_the_robot_cannot_hold_is_not_called_too_fast() {
 }
 
 #[test]
+fn a_reference_above_the_speed_limit_of_the_tip_names_it() {
+    let mut record = two_sections();
+    record.robot.tip_speed_max_m_s = 0.02;
+    let file = reference("t_s,x_m,y_m,z_m\n0,0.1,0,0.57\n2,0.2,0,0.53\n");
+    let settings = NmpcSettings::default();
+    let demands = simulate(&record, settings, &file, &FeedOptions::default()).unwrap();
+    let limit = "at this --speed a section end is at its limit, robot.tip_speed_max_m_s = 0.02";
+    for (error, remedy) in [
+        (demands.check(1e-3), "use a lower one, or raise the limit"),
+        (demands.check_end(1e-3), "not reachable: the tip stays "),
+    ] {
+        let text = error.unwrap_err().to_string();
+        assert!(text.contains(limit) && text.contains(remedy), "{text}");
+    }
+    record.robot.tip_speed_max_m_s = 0.1;
+    let demands = simulate(&record, settings, &file, &FeedOptions::default()).unwrap();
+    assert!(demands.check(1e-3).is_ok(), "{demands}");
+}
+
+#[test]
 fn a_cable_at_its_limit_is_not_called_too_fast() {
     let mut record = two_sections();
     record.robot.cable_stroke_max_m = 0.01;
