@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x46546a3bebcf6d45)
+#define CDCR_LAYOUT UINT64_C(0x91c2e42a976e10ce)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -306,6 +306,7 @@ typedef enum CdcrWinner {
 #define CDCR_GUARD_FLAGS_CLEARANCE UINT32_C(16)
 #define CDCR_GUARD_FLAGS_CABLE_STROKE UINT32_C(32)
 #define CDCR_GUARD_FLAGS_ACCELERATION UINT32_C(64)
+#define CDCR_GUARD_FLAGS_TIP_SPEED UINT32_C(128)
 
 /* Bits of realtime_missing. */
 #define CDCR_REALTIME_MISSING_SCHED_FIFO UINT32_C(1)
@@ -591,7 +592,7 @@ typedef struct CdcrSectionDescription {
 } CdcrSectionDescription;
 CDCR_ASSERT_SIZE(CdcrSectionDescription, 48);
 
-/* cdcr.RobotDescription.v1, 320 bytes. */
+/* cdcr.RobotDescription.v2, 328 bytes. */
 typedef struct CdcrRobotDescription {
     /* 0: Sections used, 1 ..= SECTIONS_MAX. */
     uint32_t sections;
@@ -603,10 +604,12 @@ typedef struct CdcrRobotDescription {
     double cable_speed_max_m_s;
     /* 24: How far a cable can be pulled or paid out from its length at the straight robot [m]. */
     double cable_stroke_max_m;
-    /* 32: used: 1 * sections. The sections, base first. */
+    /* 32: Largest commanded speed of the end of any section, seen from the base [m/s]; 0: no limit. */
+    double tip_speed_max_m_s;
+    /* 40: used: 1 * sections. The sections, base first. */
     CdcrSectionDescription section[6];
 } CdcrRobotDescription;
-CDCR_ASSERT_SIZE(CdcrRobotDescription, 320);
+CDCR_ASSERT_SIZE(CdcrRobotDescription, 328);
 
 /* cdcr.LatencySummary.v1, 48 bytes. */
 typedef struct CdcrLatencySummary {
@@ -680,7 +683,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v16, 2304 bytes. */
+/* cdcr.Status.v16, 2312 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -750,64 +753,64 @@ typedef struct CdcrStatus {
     double tip_margin_m;
     /* 1448: The robot. */
     CdcrRobotDescription robot;
-    /* 1768: The solver's settings. */
+    /* 1776: The solver's settings. */
     CdcrSolverSettings settings;
-    /* 1936: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
+    /* 1944: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
      * the configuration sets no cycle.miss_limit. */
     uint64_t misses_tolerated;
-    /* 1944: Position of the tip in the newest cycle [m], as in Telemetry. */
+    /* 1952: Position of the tip in the newest cycle [m], as in Telemetry. */
     double tip_position_m[3];
-    /* 1968: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
+    /* 1976: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
     double position_error_m;
-    /* 1976: Position of the reference in the newest cycle [m]; NaN without one. */
+    /* 1984: Position of the reference in the newest cycle [m]; NaN without one. */
     double reference_position_m[3];
-    /* 2000: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
+    /* 2008: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
      * what the model is off by. NaN without a reference or such a sensor. */
     double measured_error_m;
-    /* 2008: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
+    /* 2016: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
     double following_error_rad[6];
-    /* 2056: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
+    /* 2064: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
     double following_error_m[18];
-    /* 2200: Cycles in which the following error was above the warning. */
+    /* 2208: Cycles in which the following error was above the warning. */
     uint64_t following_warnings;
-    /* 2208: CdcrInterface. */
+    /* 2216: CdcrInterface. */
     uint32_t interface;
-    /* 2212: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
+    /* 2220: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
      * not. */
     uint32_t reset_refused_by;
-    /* 2216: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
+    /* 2224: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
     double safe_distance_min_m;
-    /* 2224: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
+    /* 2232: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
      * watched. */
     uint64_t obstacle_source_timeout_ns;
-    /* 2232: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
+    /* 2240: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
      * 0: none is silent. */
     uint64_t silent_obstacle_source;
-    /* 2240: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
+    /* 2248: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
      * the daemon stood still. */
     uint64_t silent_since_ns;
-    /* 2248: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
+    /* 2256: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
     double rate_weight_auto;
-    /* 2256: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
+    /* 2264: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
     uint64_t tip_measured_ns;
-    /* 2264: Measurements of the tip that were refused since the start, for whatever reason. */
+    /* 2272: Measurements of the tip that were refused since the start, for whatever reason. */
     uint64_t tips_refused;
-    /* 2272: Distance of the measured tip from where the newest refused first bends placed it [m], in whole
+    /* 2280: Distance of the measured tip from where the newest refused first bends placed it [m], in whole
      * millimetres; 0: none was refused for it. */
     double tip_contradiction_m;
-    /* 2280: CdcrOutcome. Outcome of the newest of them; accepted: none was refused since a tip was accepted. */
+    /* 2288: CdcrOutcome. Outcome of the newest of them; accepted: none was refused since a tip was accepted. */
     uint32_t tip_refused_by;
-    /* 2284: 1: yes, 0: no. A tip sensor beside the driver is configured (link.tip_sensor). */
+    /* 2292: 1: yes, 0: no. A tip sensor beside the driver is configured (link.tip_sensor). */
     uint32_t has_tip_sensor;
-    /* 2288: A clearance below this is a fault [m] (safety.clearance_fault_m). */
+    /* 2296: A clearance below this is a fault [m] (safety.clearance_fault_m). */
     double clearance_fault_m;
-    /* 2296: CdcrTipCause why the newest tip measured beside bends or cables is not used, as in Telemetry. */
+    /* 2304: CdcrTipCause why the newest tip measured beside bends or cables is not used, as in Telemetry. */
     uint32_t tip_cause;
-    /* 2300: 1: yes, 0: no. The driver has measured only the tip: also a tip sensor beside it for which
+    /* 2308: 1: yes, 0: no. The driver has measured only the tip: also a tip sensor beside it for which
      * link.tip_sensor is not set. */
     uint32_t driver_measures_tip_only;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2304);
+CDCR_ASSERT_SIZE(CdcrStatus, 2312);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {
@@ -915,7 +918,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v12, 15592 bytes. */
+/* cdcr.Telemetry.v12, 15600 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -976,141 +979,141 @@ typedef struct CdcrTelemetry {
     CdcrSolverSettings settings;
     /* 1872: The robot. */
     CdcrRobotDescription robot;
-    /* 2192: First cycle of the reference window: the samples reach from its release past the horizon, by up to 60
+    /* 2200: First cycle of the reference window: the samples reach from its release past the horizon, by up to 60
      * periods (60 at 5 ms). */
     uint64_t window_first_cycle;
-    /* 2200: How fast rates shrink when holding or stopping [rad/s²]. */
+    /* 2208: How fast rates shrink when holding or stopping [rad/s²]. */
     double deceleration_rad_s2;
-    /* 2208: Rate of the fastest component on the way home [rad/s]. */
+    /* 2216: Rate of the fastest component on the way home [rad/s]. */
     double home_rate_rad_s;
-    /* 2216: Deadline after the release [ns]. */
+    /* 2224: Deadline after the release [ns]. */
     uint64_t deadline_ns;
-    /* 2224: A start later than this after the release it was due at is a late start [ns]. */
+    /* 2232: A start later than this after the release it was due at is a late start [ns]. */
     uint64_t late_start_ns;
-    /* 2232: A measurement older than this is lost [ns]. */
+    /* 2240: A measurement older than this is lost [ns]. */
     uint64_t measurement_timeout_ns;
-    /* 2240: A clearance below this is a fault [m]. */
+    /* 2248: A clearance below this is a fault [m]. */
     double clearance_fault_m;
-    /* 2248: How far a measurement may jump [rad]. */
+    /* 2256: How far a measurement may jump [rad]. */
     double measurement_jump_rad;
-    /* 2256: How far the robot may be commanded while the measurement stands still [rad]. */
+    /* 2264: How far the robot may be commanded while the measurement stands still [rad]. */
     double measurement_frozen_rad;
-    /* 2264: So many jumps in a row are a fault. */
+    /* 2272: So many jumps in a row are a fault. */
     uint32_t measurement_jump_limit;
-    /* 2268: CdcrMeasurementState. */
+    /* 2276: CdcrMeasurementState. */
     uint32_t measurement_state;
-    /* 2272: Level at which the leaky bucket stops the robot; 0: it does not. */
+    /* 2280: Level at which the leaky bucket stops the robot; 0: it does not. */
     uint32_t miss_limit;
-    /* 2276: CdcrLeaseState. */
+    /* 2284: CdcrLeaseState. */
     uint32_t lease_state;
-    /* 2280: Scalars of warm_plan and plan that are used; 0: the solver did not run. */
+    /* 2288: Scalars of warm_plan and plan that are used; 0: the solver did not run. */
     uint32_t plan_length;
-    /* 2284: Obstacles of this cycle, 0 ..= OBSTACLES_MAX. */
+    /* 2292: Obstacles of this cycle, 0 ..= OBSTACLES_MAX. */
     uint32_t obstacle_count;
-    /* 2288: used: 1 * obstacle_count. The obstacles as used, in this order, where they are at the release (plan and
+    /* 2296: used: 1 * obstacle_count. The obstacles as used, in this order, where they are at the release (plan and
      * guard look at them reference_lead_ns later): measured_ns is the release, lifetime_ns what is left of their
      * lifetime then, 0: until removed. The first obstacle_count are used. */
     CdcrObstacle obstacles[64];
-    /* 8944: used: 1 * plan_length. The plan that the solver started from [rad/s], block by block. */
+    /* 8952: used: 1 * plan_length. The plan that the solver started from [rad/s], block by block. */
     double warm_plan[300];
-    /* 11344: used: 1 * plan_length. The solution [rad/s], block by block. */
+    /* 11352: used: 1 * plan_length. The solution [rad/s], block by block. */
     double plan[300];
-    /* 13744: What the solver did. */
+    /* 13752: What the solver did. */
     CdcrSolverReport report;
-    /* 13816: Reference at the release. */
+    /* 13824: Reference at the release. */
     CdcrReferenceSample reference;
-    /* 13880: The way to it that the plan follows. */
+    /* 13888: The way to it that the plan follows. */
     CdcrApproach approach;
-    /* 13976: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by what the motors are
+    /* 13984: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by what the motors are
      * behind their commands. */
     double present_rad[12];
-    /* 14072: The tip as it was measured beside bends or cables [m]; zero when it was not. */
+    /* 14080: The tip as it was measured beside bends or cables [m]; zero when it was not. */
     double tip_measured_m[3];
-    /* 14096: When [ns]. */
+    /* 14104: When [ns]. */
     uint64_t tip_measured_ns;
-    /* 14104: How far the tip is measured beside where the bends place it, smoothed [m]. The plan's reference is
+    /* 14112: How far the tip is measured beside where the bends place it, smoothed [m]. The plan's reference is
      * moved back by it. */
     double tip_offset_m[3];
-    /* 14128: How far the tip may be beside where the bends place it [m]: the length of tip_offset_m, and three
+    /* 14136: How far the tip may be beside where the bends place it [m]: the length of tip_offset_m, and three
      * standard deviations of what the measurements leave open of it. So much thicker the body counts for plan and
      * guard. */
     double tip_margin_m;
-    /* 14136: Tip position at the release, from present_rad and tip_offset_m [m]. */
+    /* 14144: Tip position at the release, from present_rad and tip_offset_m [m]. */
     double tip_position_m[3];
-    /* 14160: Tip orientation at the release, unit quaternion (x, y, z, w). */
+    /* 14168: Tip orientation at the release, unit quaternion (x, y, z, w). */
     double tip_orientation[4];
-    /* 14192: Distance of tip and reference at the release [m]; NaN without a reference. */
+    /* 14200: Distance of tip and reference at the release [m]; NaN without a reference. */
     double position_error_m;
-    /* 14200: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
+    /* 14208: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
     uint32_t guard_flags;
-    /* 14204: CdcrMeasurementState: what became of tip_measured_m. */
+    /* 14212: CdcrMeasurementState: what became of tip_measured_m. */
     uint32_t tip_state;
-    /* 14208: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
+    /* 14216: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
      * obstacles [m]: negative inside one, infinite without obstacles, NaN when present_rad is not finite. The body
      * counts as thicker by tip_margin_m. */
     double clearance_m;
-    /* 14216: The command as it left. */
+    /* 14224: The command as it left. */
     CdcrCommand command;
-    /* 14776: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
+    /* 14784: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
      * period later. */
     double commanded_rad[12];
-    /* 14872: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
+    /* 14880: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
      * from every commanded one of the last following_lag_ns, so that a lag of the motors up to that is no error.
      * Zero while only the tip is measured. */
     double following_error_rad[6];
-    /* 14920: used: 3 * command.sections. The same of each cable [m]. */
+    /* 14928: used: 3 * command.sections. The same of each cable [m]. */
     double following_error_m[18];
-    /* 15064: A following error above this is a warning [rad]. */
+    /* 15072: A following error above this is a warning [rad]. */
     double following_warning_rad;
-    /* 15072: A following error above this is a fault [rad]. */
+    /* 15080: A following error above this is a fault [rad]. */
     double following_fault_rad;
-    /* 15080: How far the motors may lag behind [ns]. */
+    /* 15088: How far the motors may lag behind [ns]. */
     uint64_t following_lag_ns;
-    /* 15088: Largest acceleration of a component [rad/s²]; infinite: no limit. */
+    /* 15096: Largest acceleration of a component [rad/s²]; infinite: no limit. */
     double acceleration_rad_s2;
-    /* 15096: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
+    /* 15104: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
      * together. */
     uint64_t reference_lead_ns;
-    /* 15104: Time constant of the motors [ns]: reference_lead_ns less their delay. */
+    /* 15112: Time constant of the motors [ns]: reference_lead_ns less their delay. */
     uint64_t motor_time_constant_ns;
-    /* 15112: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
+    /* 15120: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
      * command begins to act. */
     double delayed_rad[12];
-    /* 15208: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
+    /* 15216: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
      * beside that by the play of the cables. */
     double motor_rad[12];
-    /* 15304: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
+    /* 15312: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
     double slack_m[18];
-    /* 15448: Play of the cables [m]; 0: none. */
+    /* 15456: Play of the cables [m]; 0: none. */
     double play_m;
-    /* 15456: used: 2 * command.sections. Commanded position minus the place of the robot where control begins after
+    /* 15464: used: 2 * command.sections. Commanded position minus the place of the robot where control begins after
      * a reset [rad], while moves_to_begin is set: the rates wanted are those of homing from there. */
     double way_rad[12];
-    /* 15552: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
+    /* 15560: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
     double approach_distance_m;
-    /* 15560: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
+    /* 15568: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
      * fault then. */
     uint32_t control_begins;
-    /* 15564: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
+    /* 15572: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
     uint32_t moves_to_begin;
-    /* 15568: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
+    /* 15576: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
      * rest, the solve from previous_rate_rad_s. */
     uint32_t ran_out_in_solve;
-    /* 15572: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
+    /* 15580: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;
-    /* 15576: 1: yes, 0: no. 1 where a reset has to accept the pose: a section is measured more than 0.2 rad from
+    /* 15584: 1: yes, 0: no. 1 where a reset has to accept the pose: a section is measured more than 0.2 rad from
      * where the last command left it, or the daemon before this one ended in such a pose. */
     uint32_t pose_differs;
-    /* 15580: 1: yes, 0: no. 1 where the newest measurement was rejected as a jump: a reset is refused then. */
+    /* 15588: 1: yes, 0: no. 1 where the newest measurement was rejected as a jump: a reset is refused then. */
     uint32_t measurement_rejected;
-    /* 15584: 1: yes, 0: no. 1 where the reference at the release is too far from the tip to be tracked. */
+    /* 15592: 1: yes, 0: no. 1 where the reference at the release is too far from the tip to be tracked. */
     uint32_t reference_too_far;
-    /* 15588: CdcrTipCause: why the newest tip_measured_m was not used, also in the cycles until the next one. */
+    /* 15596: CdcrTipCause: why the newest tip_measured_m was not used, also in the cycles until the next one. */
     uint32_t tip_cause;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 15592);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 15600);
 
-/* cdcr.Incident.v11, 15632 bytes. */
+/* cdcr.Incident.v11, 15640 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1124,6 +1127,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 15632);
+CDCR_ASSERT_SIZE(CdcrIncident, 15640);
 
 #endif

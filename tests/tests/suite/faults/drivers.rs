@@ -112,10 +112,10 @@ fn a_pose_in_doubt_is_in_doubt_for_the_next_daemon() {
         let _driver = DriverProcess::start_at(daemon.place(), 0.0);
         differs(&daemon.connect());
         let elsewhere = "is measured far from where its last command left it";
-        daemon.place().says("cdcrctl reset", 1, &[elsewhere]);
+        daemon.place().checked("cdcrctl reset", 1, &[elsewhere]);
         daemon
             .place()
-            .says("cdcrctl reset --accept-pose", 0, &["accepted"]);
+            .checked("cdcrctl reset --accept-pose", 0, &["accepted"]);
         let accepted =
             "that differs from that of the last command, which is that of the daemon before";
         wait_until("the log names it", || daemon.log().contains(accepted));
