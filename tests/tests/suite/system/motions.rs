@@ -416,19 +416,19 @@ fn a_simulated_robot_is_refused_beside_a_driver() {
 fn a_speed_above_the_limit_of_the_tip_is_refused_with_the_limit_and_home_keeps_it() {
     let daemon = Daemon::start(&format!("{PATIENT}[robot]\ntip_speed_max_m_s = 0.1\n"));
     let limit = "at this --speed a section end is at its limit, robot.tip_speed_max_m_s = 0.1";
-    let refused = says(
+    let refused = checked(
         &daemon,
         "goto 0.25,0.02,0.82 --speed 0.6 --acceleration 9",
         1,
     );
     assert!(refused.contains(limit), "{refused}");
     let fast = "ref circle --radius 0.05 --rate 6 --dry-run";
-    let refused = says(&daemon, fast, 1);
+    let refused = checked(&daemon, fast, 1);
     assert!(refused.contains(limit), "{refused}");
     until_undisturbed("the tip goes to a point and home", || {
-        says_unless_stalled(&daemon, "goto 0.15,0.02,0.86 --speed 0.08")?;
+        checked_unless_stalled(&daemon, "goto 0.15,0.02,0.86 --speed 0.08")?;
         let mut telemetry = daemon.connect().telemetry().unwrap();
-        says(&daemon, "home --wait", 0);
+        checked(&daemon, "home --wait", 0);
         let (mut fastest_m_s, mut limited) = (0.0_f64, 0);
         while let Some(record) = telemetry.try_next().unwrap() {
             let robot = robot_of(&record.robot).unwrap();
