@@ -89,7 +89,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
         }),
         (controller.safe_distance_m > length_m).then(|| {
             format!(
-                "controller.safe_distance_m = {} is longer than the robot of {length_m} m: an obstacle blocks every motion",
+                "controller.safe_distance_m = {} is longer than the robot of {length_m:.3} m: an obstacle blocks every motion",
                 controller.safe_distance_m
             )
         }),
