@@ -3,13 +3,15 @@
 use cdcr_controller::nmpc::RateWeight;
 use cdcr_controller::robot::SectionParameters;
 
-use crate::config::{Config, LinkKind, REST_MAX_S, TipSensor, ns, numbers};
+use crate::config::{Config, Interface, LinkKind, REST_MAX_S, TipSensor, ns, numbers};
 use crate::core_budget::{CoreBudget, Costs};
 
 /// Largest stroke of a cable that is taken to be meant \[m\].
 const STROKE_M_MAX: f64 = 2.0;
 /// Longest validity of a command that is taken to be meant \[ms\].
 const VALID_MS_MAX: f64 = 1000.0;
+/// Motion at a usual speed, 0.25 m/s, is 25 mm in this time \[ms\].
+const HANG_MS_MAX: f64 = 100.0;
 
 /// Warnings about valid but probably unintended settings, each with its keys.
 pub(crate) fn warnings(config: &Config) -> Vec<String> {
@@ -191,6 +193,13 @@ fn of_checks(config: &Config) -> Vec<String> {
         }),
         (safety.cable_common_m == 0.0).then(|| {
             "safety.cable_common_m = 0: where cable lengths are measured, a broken or slack cable is no fault".to_owned()
+        }),
+        (link.interface == Interface::Position && link.measurement_timeout_ms > HANG_MS_MAX).then(|| {
+            format!(
+                "link.measurement_timeout_ms = {}: while a driver of positions hangs, the commanded position runs on for so long, \
+                 by up to {unmeasured_rad:.3} rad of a bend, and the robot is not where it is shown (docs/drivers.md, After a hang)",
+                link.measurement_timeout_ms
+            )
         }),
         (link.command_valid_ms > VALID_MS_MAX).then(|| {
             format!(

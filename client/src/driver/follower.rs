@@ -39,8 +39,11 @@ struct Present {
     command: Command,
     begin: CommandedPosition,
     end: CommandedPosition,
-    /// Offset of the positions from those of the command, since another daemon has taken over.
+    /// Offset of the positions from those of the command, since another daemon has taken over, or since a command was
+    /// taken after a gap in Stopped or Faulted.
     offset: Option<CommandedPosition>,
+    /// Highest speed of the move as a share of the robot's; below 1 while it catches up after a gap.
+    pace: f64,
     /// Time at which the command was taken and the move began \[ns\].
     begin_ns: u64,
     /// Time at which the move ends \[ns\].
@@ -50,6 +53,16 @@ struct Present {
 impl Present {
     fn is_of_sender(&self, command: &Command) -> bool {
         self.command.header.sender_id == command.header.sender_id
+    }
+
+    /// Time from which the motors stand unless another command comes \[ns\].
+    fn stands_from_ns(&self) -> u64 {
+        self.end_ns.min(self.command.valid_until_ns)
+    }
+
+    /// A command at `now_ns` comes after a gap: the present one has expired, or the gap before it is not yet caught up.
+    fn has_gap(&self, now_ns: u64) -> bool {
+        now_ns >= self.command.valid_until_ns || self.pace < 1.0
     }
 
     /// Completed part of the move, 0 to 1.
@@ -68,6 +81,11 @@ impl Present {
 const MOVE_MAX_S: f64 = 1e6;
 /// Allowance for rounding of a move that takes one period \[s\].
 const ROUNDING_S: f64 = 1e-8;
+/// After a gap the motors move at this multiple of the commanded speed at most: at twice the speed they have caught up
+/// after as long as the gap was.
+const CATCH_UP: f64 = 2.0;
+/// Least share of the robot's speed at which a move is made, so that a short one ends.
+const PACE_MIN: f64 = 1e-3;
 
 impl CommandFollower {
     /// A follower without a command, which refuses commands beyond the limits of `robot`.
@@ -110,7 +128,7 @@ impl CommandFollower {
     /// The reason of a refusal, which is also counted. The present command stays in force until it expires.
     pub fn take(&mut self, command: &Command, now_ns: u64) -> Result<(), CommandRefusal> {
         let begin = self.position_at(now_ns);
-        let offset = self.offset_of(command, begin.as_ref());
+        let offset = self.offset_of(command, begin.as_ref(), now_ns);
         let commanded = CommandedPosition::of(command);
         let end = offset.map_or(commanded, |offset| commanded.plus(&offset));
         if let Err(refusal) = self.check(command, &end, begin.as_ref(), now_ns) {
@@ -123,26 +141,62 @@ impl CommandFollower {
         let begin = begin.unwrap_or(end);
         // Late commands must not make up for their delay by a jump.
         let shortest_s = bounds::shortest_s(&self.robot, &begin, &end) - ROUNDING_S;
-        let shortest_ns = (1e9 * shortest_s.clamp(0.0, MOVE_MAX_S)) as u64;
+        let pace = self.pace(command, shortest_s, now_ns);
+        let takes_ns = (1e9 * (shortest_s / pace).clamp(0.0, MOVE_MAX_S)) as u64;
+        let arrives_ns = now_ns.saturating_add(takes_ns);
+        let is_late = arrives_ns > command.target_ns;
         self.present = Some(Present {
             command: *command,
             begin,
             end,
             offset,
+            pace: if is_late { pace } else { 1.0 },
             begin_ns: now_ns,
-            end_ns: command.target_ns.max(now_ns.saturating_add(shortest_ns)),
+            end_ns: command.target_ns.max(arrives_ns),
         });
         Ok(())
+    }
+
+    /// Highest speed of a move that takes `shortest_s` at the robot's largest one, as a share of that speed. After a gap:
+    /// [`CATCH_UP`] times the mean speed of the way that was missed, or of the commands if these are faster now.
+    fn pace(&self, command: &Command, shortest_s: f64, now_ns: u64) -> f64 {
+        let Some(present) = self.present.as_ref() else {
+            return 1.0;
+        };
+        if !present.has_gap(now_ns) {
+            return 1.0;
+        }
+        let missed = if present.pace < 1.0 {
+            present.pace
+        } else {
+            let missed_ns = command
+                .target_ns
+                .saturating_sub(present.stands_from_ns())
+                .max(1);
+            CATCH_UP * shortest_s * 1e9 / missed_ns as f64
+        };
+        let commanded = CATCH_UP * self.commanded_share(&present.command, command);
+        missed.max(commanded).clamp(PACE_MIN, 1.0)
+    }
+
+    /// Mean speed from `before` to `command`, as a share of the robot's largest one.
+    fn commanded_share(&self, before: &Command, command: &Command) -> f64 {
+        let positions = [before, command].map(CommandedPosition::of);
+        let [begin, end] = &positions;
+        let takes_ns = command.target_ns.saturating_sub(before.target_ns).max(1);
+        bounds::shortest_s(&self.robot, begin, end) * 1e9 / takes_ns as f64
     }
 
     /// Offset from the positions of `command`. The positions of another daemon begin where it has measured the
     /// robot. Loaded motors stand elsewhere, and stay there; they move as the positions do.
     ///
-    /// In Holding the commanded position moves only to a robot that is elsewhere. Motors that stand there stay.
+    /// In Holding the commanded position moves only to a robot that is elsewhere. Motors that stand there stay. In
+    /// Stopped and Faulted motors that missed commands do not make up for them.
     fn offset_of(
         &self,
         command: &Command,
         standing: Option<&CommandedPosition>,
+        now_ns: u64,
     ) -> Option<CommandedPosition> {
         let (present, standing) = (self.present.as_ref()?, standing?);
         if self.interface != Interface::Position {
@@ -151,6 +205,20 @@ impl CommandFollower {
         let commanded = CommandedPosition::of(command);
         if !present.is_of_sender(command) {
             return Some(standing.minus(&commanded));
+        }
+        let rests = [Mode::Stopped, Mode::Faulted]
+            .map(Mode::code)
+            .contains(&command.mode);
+        if rests && present.has_gap(now_ns) {
+            let end = present
+                .offset
+                .map_or(commanded, |offset| commanded.plus(&offset));
+            // Motors that have missed nothing keep their bits.
+            return if end == *standing {
+                present.offset
+            } else {
+                Some(standing.minus(&commanded))
+            };
         }
         let offset = present.offset?;
         let way = commanded.minus(&CommandedPosition::of(&present.command));
@@ -268,6 +336,9 @@ impl CommandFollower {
     /// The position never overshoots the target and never exceeds the robot's largest rates, so it may arrive
     /// later, after lost or late commands. It is constant from `valid_until_ns` on. Another daemon does not move
     /// it by taking over ([`offset`](Self::offset)).
+    ///
+    /// If the next command comes after that time, because the driver hung or commands were lost, the position catches up
+    /// at about twice the speed of the commands. In Stopped and Faulted it stays where it stands, and keeps its distance.
     pub fn position_at(&self, now_ns: u64) -> Option<CommandedPosition> {
         self.present.as_ref().map(|present| {
             let now_ns = now_ns.min(present.command.valid_until_ns);
@@ -276,11 +347,11 @@ impl CommandFollower {
     }
 
     /// Offset of [`position_at`](Self::position_at) from the commanded position; `None` until another daemon
-    /// takes over.
+    /// takes over, or the motors miss commands before one in Stopped or Faulted.
     ///
     /// The commanded position of a daemon that was started again begins where the robot is measured. A load
     /// separates this from the position of the motors. They do not move to it but keep their distance, until
-    /// [`forget`](Self::forget).
+    /// [`forget`](Self::forget). The distance shrinks where a reset moves the commanded position to them.
     pub fn offset(&self) -> Option<CommandedPosition> {
         self.present.and_then(|present| present.offset)
     }

@@ -186,6 +186,15 @@ fn a_doubtful_configuration_and_a_misspelt_variable_are_warned_of() {
         "{log}"
     );
     assert!(!log.contains("CDCR_TEST"), "{log}");
+    for (interface, is_warned_of) in [("position", true), ("velocity", false)] {
+        let interface = format!("link.interface={interface}");
+        let driver = ["check", "--set", "link.kind=driver", "--set", &interface];
+        let output = cdcrd(&[&driver[..], &["--set", "link.measurement_timeout_ms=250"]].concat());
+        let text = printed(&output);
+        let warning =
+            "warning: link.measurement_timeout_ms = 250: while a driver of positions hangs";
+        assert_eq!(text.contains(warning), is_warned_of, "{text}");
+    }
 }
 
 #[test]

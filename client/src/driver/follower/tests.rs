@@ -1,3 +1,4 @@
+mod gap;
 mod rest;
 mod takeover;
 use cdcr_shared_types::codes::MeasurementKind;
@@ -215,7 +216,8 @@ fn lost_commands_make_no_move_faster_than_the_robot() {
         follower.robot.cable_speed_max_m_s = cable_speed_max_m_s;
         take(&mut follower, &position(10, 0.2)).unwrap();
         // Of ten commands at the largest rate, all but the last are lost.
-        take(&mut follower, &position(20, 0.3)).unwrap();
+        let end_rad = 0.2 + 0.05 * fastest_rad_s;
+        take(&mut follower, &position(20, end_rad)).unwrap();
         let period_s = 1e-9 * PERIOD_NS as f64;
         let step_rad = 0.1 * period_s * fastest_rad_s;
         let mut last = 0.2;
@@ -226,12 +228,12 @@ fn lost_commands_make_no_move_faster_than_the_robot() {
         }
         // The command was taken at 20.2 and expired during the move; the next one continues from there.
         assert!((last - 0.2 - 2.8 * period_s * fastest_rad_s).abs() < 1e-6);
-        take(&mut follower, &position(24, 0.3)).unwrap();
+        take(&mut follower, &position(24, end_rad)).unwrap();
         assert_eq!(at(&follower, 24.0).0, last);
         for cycle in 25..36 {
-            take(&mut follower, &position(cycle, 0.3)).unwrap();
+            take(&mut follower, &position(cycle, end_rad)).unwrap();
         }
-        assert_eq!(at(&follower, 40.0).0, 0.3);
+        assert_eq!(at(&follower, 40.0).0, end_rad);
     }
 }
 

@@ -1,14 +1,15 @@
 //! Faults of drivers: a killed driver, and two at once.
 
 use cdcr_client::{CommandRefusal, Connection};
-use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{ask_for, refused, reset_here, wait_status, wait_until};
+use cdcr_tests::{ask_for, refused, reset_here, until_undisturbed, wait_status, wait_until};
 use rustix::process::Signal;
 
 use super::measurement::{SENSED_RAD, assert_lost, daemon, go_home, state};
 use super::robot::{Robot, behind_both};
-use super::trail::{Trail, is};
+use super::trail::{Trail, is, unless_kept};
 
 /// Measurement of the other driver.
 const OTHER_RAD: [f64; 12] = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
@@ -33,6 +34,63 @@ fn a_killed_driver_is_a_lost_measurement() {
         trail.until("holding", is(Mode::Holding));
         Some(())
     });
+}
+
+/// A driver of positions hangs while the robot is sent home, until `mode`. When it goes on, the motors stay where they are,
+/// also while a reset moves the commanded position to them.
+fn stays_after_a_hang(mode: Mode) -> Option<()> {
+    let daemon = daemon(Interface::Position);
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    let driver = DriverProcess::start_at(daemon.place(), 1.0);
+    trail.until("holding", is(Mode::Holding));
+    go_home(&connection, &mut trail, || {})?;
+    driver.signal(Signal::STOP);
+    let (_, hung) = trail.until("the driver is silent", |record| {
+        state(record) != MeasurementState::Used
+    });
+    let commanded_rad = |record: &Telemetry| record.command.bend_target_rad[0];
+    let (_, far) = trail.until("the commands are far", |record| {
+        commanded_rad(&hung) - commanded_rad(record) > FAR_RAD
+    });
+    if mode == Mode::Stopped {
+        ask_for(&connection, RequestKind::Stop);
+    }
+    let (_, latched) = trail.until("latched", is(mode));
+    driver.signal(Signal::CONT);
+    let stays_for = |trail: &mut Trail, what: &str| {
+        let mut used = 0;
+        trail.until(what, |record| {
+            if record.measurement.measured_ns > latched.release_ns {
+                used += 1;
+                let way_rad = record.measurement.bend_rad[0] - hung.measurement.bend_rad[0];
+                assert!(way_rad.abs() < STAYS_RAD, "{what}: moved by {way_rad} rad");
+            }
+            used > 200
+        });
+    };
+    stays_for(&mut trail, "latched, and the driver goes on");
+    ask_for(&connection, RequestKind::Reset);
+    stays_for(&mut trail, "the commanded position comes");
+    let (_, now) = trail.until("it is there", |record| {
+        (commanded_rad(record) - record.measurement.bend_rad[0]).abs() < STAYS_RAD
+    });
+    assert_eq!(now.mode, Mode::Holding.code());
+    assert!(commanded_rad(&now) - commanded_rad(&far) > 0.5 * FAR_RAD);
+    Some(())
+}
+
+/// Motion in the test during which the driver hangs, and less than half of it \[rad\].
+const FAR_RAD: f64 = 0.15;
+const STAYS_RAD: f64 = 0.06;
+
+#[test]
+fn a_driver_of_positions_that_hung_stays_where_it_stands() {
+    for mode in [Mode::Faulted, Mode::Stopped] {
+        until_undisturbed("a driver that hangs", || {
+            unless_kept(|| stays_after_a_hang(mode))
+        });
+    }
 }
 
 /// Encoders that count from the power-on: the robot rests bent, and the driver that is started again measures it straight.
