@@ -277,10 +277,9 @@ typedef enum CdcrTipCause {
     CDCR_TIP_CAUSE_NONE = 0, /* none */
     CDCR_TIP_CAUSE_FAR = 1, /* it is too far from where the bends place it */
     CDCR_TIP_CAUSE_WAS_FAR = 2, /* it was too far from where the bends place it, a short time ago */
-    CDCR_TIP_CAUSE_REPEATS = 3, /* it has the same bits as before */
-    CDCR_TIP_CAUSE_JUMPS = 4, /* it moved faster than the robot can */
-    CDCR_TIP_CAUSE_JUMPED = 5, /* it moved faster than the robot can many times in a row */
-    CDCR_TIP_CAUSE_FROZEN = 6 /* it had the same bits while the robot moved */
+    CDCR_TIP_CAUSE_JUMPS = 3, /* it moved faster than the robot can */
+    CDCR_TIP_CAUSE_JUMPED = 4, /* it moved faster than the robot can many times in a row */
+    CDCR_TIP_CAUSE_FROZEN = 5 /* it had the same bits while the robot moved */
 } CdcrTipCause;
 
 typedef enum CdcrVelocityRule {

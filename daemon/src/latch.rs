@@ -13,6 +13,8 @@ use crate::mapped;
 const FREE: u64 = 0;
 /// Beside the mode: the robot was measured far from where its last command left it.
 const POSE_IN_DOUBT: u64 = 1 << 31;
+/// Beside the mode: the obstacles of the daemon before are lost. Every stop and fault after that keeps it.
+const OBSTACLES_LOST: u64 = 1 << 30;
 
 /// The latch of a robot, for every daemon of it. The default keeps nothing.
 #[derive(Debug, Clone, Copy, Default)]
@@ -28,14 +30,16 @@ impl Latch {
     /// Mode and reason of the latch as text, until a reset.
     pub fn describe(&self) -> Option<String> {
         let word = self.word();
-        let (mode, reason) = ((word & !POSE_IN_DOUBT) as u32, (word >> 32) as u32);
+        let mode = (word & !(POSE_IN_DOUBT | OBSTACLES_LOST)) as u32;
+        let reason = (word >> 32) as u32;
         let description = || format!("{} ({})", Mode::text_of(mode), Reason::text_of(reason));
         (word != FREE).then(description)
     }
 
     /// Latches a stop or a fault.
     pub fn set(&self, mode: Mode, reason: Reason) {
-        self.store(word_of(mode, reason));
+        let lost = self.word() & OBSTACLES_LOST;
+        self.store(word_of(mode, reason) | lost);
     }
 
     /// The last daemon left the pose in doubt.
@@ -69,12 +73,12 @@ impl Latch {
     /// has to be added again.
     pub fn lose_obstacles(&self) {
         let doubt = self.word() & POSE_IN_DOUBT;
-        self.store(word_of(Mode::Stopped, Reason::ObstaclesLost) | doubt);
+        self.store(word_of(Mode::Stopped, Reason::ObstaclesLost) | OBSTACLES_LOST | doubt);
     }
 
-    /// They are.
+    /// They are, whatever has stopped the robot since.
     pub fn has_lost_obstacles(&self) -> bool {
-        self.word() & !POSE_IN_DOUBT == word_of(Mode::Stopped, Reason::ObstaclesLost)
+        self.word() & OBSTACLES_LOST != 0
     }
 
     /// Creates a deleted file again, with its folder, if the robot is latched. Returns true if it is not.
@@ -139,7 +143,11 @@ mod tests {
         assert!(!found.has_lost_obstacles());
         found.lose_obstacles();
         assert!(found.has_lost_obstacles() && found.is_pose_in_doubt());
+        found.set(Mode::Faulted, Reason::MeasurementLost);
+        assert!(Latch::open(&path).unwrap().has_lost_obstacles());
+        assert_eq!(found.describe().as_deref(), Some(description));
         found.clear();
+        assert!(!found.has_lost_obstacles());
         // There is no doubt without a stop.
         found.doubt_pose(true);
         assert_eq!(Latch::open(&path).unwrap().describe(), None);

@@ -386,13 +386,11 @@ class TipCause(Code):
     """It is too far from where the bends place it."""
     WAS_FAR = 2
     """It was too far from where the bends place it, a short time ago."""
-    REPEATS = 3
-    """It has the same bits as before."""
-    JUMPS = 4
+    JUMPS = 3
     """It moved faster than the robot can."""
-    JUMPED = 5
+    JUMPED = 4
     """It moved faster than the robot can many times in a row."""
-    FROZEN = 6
+    FROZEN = 5
     """It had the same bits while the robot moved."""
 
 

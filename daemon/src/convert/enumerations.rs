@@ -35,7 +35,7 @@ to_wire! {
     pub link: LinkKind => RobotLink { Simulated, Driver }
     pub(super) lease_state: LeaseState => LeaseState { Free, Held, Expired }
     pub(super) measurement_state: MeasurementUse => MeasurementState { None, Used, Repeated, Implausible }
-    pub tip_cause: TipCause => TipCause { Far, WasFar, Repeats, Jumps, Jumped, Frozen }
+    pub tip_cause: TipCause => TipCause { Far, WasFar, Jumps, Jumped, Frozen }
     /// A violated constraint.
     pub(super) constraint: Constraint => Constraint { Clearance, Limit }
     /// Status of a solve.

@@ -1,6 +1,6 @@
 //! A tip measured beside bends or cables: which measurements are used, and why others are not.
 
-use cdcr_controller::estimator::Measurement;
+use cdcr_controller::estimator::{Measurement, TipRefusal};
 use cdcr_controller::safety::{MeasurementWatch, Plausibility, PlausibilityRules};
 
 use super::silence::age_s;
@@ -15,6 +15,7 @@ pub(super) struct TipWatch {
     sensors: u64,
     /// The tip froze or jumped too often: it is not used until control begins again or another sensor takes over.
     wrong: Option<TipCause>,
+    /// Why the newest measurement is not used; with the bits of the one before, why that one was not.
     unused: Option<TipCause>,
 }
 
@@ -41,7 +42,7 @@ impl TipWatch {
     /// Accepts the next measurement without history.
     pub(super) fn trust(&mut self) {
         self.plausibility = MeasurementWatch::new(*self.plausibility.rules());
-        self.wrong = None;
+        (self.wrong, self.unused) = (None, None);
     }
 }
 
@@ -67,15 +68,25 @@ impl RobotState {
             return MeasurementUse::Repeated;
         }
         self.tip_watch.last_ns = timed.measured_ns;
-        self.tip_watch.unused = self.take_tip(&timed, release_ns).err();
-        if self.tip_watch.unused.is_some() {
-            MeasurementUse::Implausible
-        } else {
-            MeasurementUse::Used
+        match self.take_tip(&timed, release_ns) {
+            Ok(()) => {
+                self.tip_watch.unused = None;
+                MeasurementUse::Used
+            }
+            Err(cause) => {
+                // The same bits again are no reason to distrust the sensor, nor to trust it.
+                self.tip_watch.unused = cause.or(self.tip_watch.unused);
+                MeasurementUse::Implausible
+            }
         }
     }
 
-    fn take_tip(&mut self, timed: &TimedMeasurement, release_ns: u64) -> Result<(), TipCause> {
+    /// An error without a cause: the tip has the bits of the last one.
+    fn take_tip(
+        &mut self,
+        timed: &TimedMeasurement,
+        release_ns: u64,
+    ) -> Result<(), Option<TipCause>> {
         let TimedMeasurement {
             measurement,
             measured_ns,
@@ -85,16 +96,17 @@ impl RobotState {
         let found = watch
             .plausibility
             .check(&self.robot, measurement, *measured_ns);
-        match found {
-            Plausibility::Lost => watch.wrong = Some(TipCause::Jumped),
-            Plausibility::Frozen => watch.wrong = Some(TipCause::Frozen),
-            Plausibility::Jump | Plausibility::Good => {}
-        }
-        if let Some(cause) = watch.wrong {
-            return Err(cause);
+        let found_wrong = match found {
+            Plausibility::Lost => Some(TipCause::Jumped),
+            Plausibility::Frozen => Some(TipCause::Frozen),
+            Plausibility::Jump | Plausibility::Good => None,
+        };
+        watch.wrong = found_wrong.or(watch.wrong);
+        if watch.wrong.is_some() {
+            return Err(watch.wrong);
         }
         if found == Plausibility::Jump {
-            return Err(TipCause::Jumps);
+            return Err(Some(TipCause::Jumps));
         }
         let Measurement::TipPosition(position_m) = measurement else {
             return Ok(());
@@ -102,7 +114,11 @@ impl RobotState {
         let age_s = age_s(*measured_ns, release_ns);
         self.estimator
             .correct_tip(&self.robot, position_m, age_s)
-            .map_err(TipCause::from)
+            .map_err(|refusal| match refusal {
+                TipRefusal::Far => Some(TipCause::Far),
+                TipRefusal::WasFar => Some(TipCause::WasFar),
+                TipRefusal::Repeats => None,
+            })
     }
 
     /// Assumes the tip at the place given by the bends if its measurement froze or jumped permanently.

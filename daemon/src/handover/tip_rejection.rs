@@ -1,6 +1,6 @@
 use std::fmt;
 
-use cdcr_controller::estimator::{Measurement, TipRefusal, tip_offset_max_m};
+use cdcr_controller::estimator::{Measurement, tip_offset_max_m};
 use cdcr_controller::robot::Robot;
 
 use super::CycleRecord;
@@ -12,24 +12,12 @@ pub enum TipCause {
     Far,
     /// It was, and has not been near for long enough since.
     WasFar,
-    /// The bits of the last one.
-    Repeats,
     /// Faster than the robot can move.
     Jumps,
     /// The last of many jumps in a row.
     Jumped,
     /// The same bits while the robot moved.
     Frozen,
-}
-
-impl From<TipRefusal> for TipCause {
-    fn from(refusal: TipRefusal) -> Self {
-        match refusal {
-            TipRefusal::Far => Self::Far,
-            TipRefusal::WasFar => Self::WasFar,
-            TipRefusal::Repeats => Self::Repeats,
-        }
-    }
 }
 
 impl TipCause {
@@ -48,7 +36,6 @@ impl TipCause {
             Self::WasFar => {
                 "It was beyond the limit before: it is used again after some time within it"
             }
-            Self::Repeats => "It has the same bits as before: check that the sensor measures",
             Self::Jumps => {
                 "It moved faster than the robot can: look for reflections and lost sights"
             }
@@ -88,13 +75,9 @@ impl TipRejection {
         })
     }
 
-    /// Whether it is a line of the log after `before`, the rejection of the cycle before. A sensor whose resolution is coarse
-    /// repeats its bits at rest.
+    /// Whether it is a line of the log after `before`, the rejection of the cycle before.
     pub fn is_news(&self, before: Option<&Self>) -> bool {
-        let before = before.map(|before| before.cause);
-        let has_begun = before.is_none_or(|before| before == TipCause::Repeats);
-        let has_become_lasting = self.cause.lasts() && before != Some(self.cause);
-        self.cause != TipCause::Repeats && (has_begun || has_become_lasting)
+        before.is_none_or(|before| self.cause.lasts() && before.cause != self.cause)
     }
 }
 
@@ -146,11 +129,9 @@ mod tests {
 
     #[test]
     fn a_rejection_is_logged_where_it_begins_and_where_it_lasts() {
-        use TipCause::{Far, Jumped, Jumps, Repeats};
+        use TipCause::{Far, Jumped, Jumps};
         for (before, now, is_logged) in [
             (None, Far, true),
-            (None, Repeats, false),
-            (Some(Repeats), Far, true),
             (Some(Far), Far, false),
             (Some(Far), Jumps, false),
             (Some(Jumps), Jumped, true),

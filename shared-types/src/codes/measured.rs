@@ -30,20 +30,19 @@ wire_enum! {
 }
 
 wire_enum! {
-    /// Why the newest tip measured beside bends or cables is not used.
+    /// Why tips measured beside bends or cables are not used. One with the bits of the one before changes nothing: a sensor of
+    /// coarse resolution repeats them at rest.
     TipCause {
-        /// It is used, or was not measured.
+        /// They are used, or were not measured.
         None = 0: "none",
         /// More than a ninth of the robot's length, or 0.1 m.
         Far = 1: "it is too far from where the bends place it",
         /// Three times in a row; it is used again after some time within the limit.
         WasFar = 2: "it was too far from where the bends place it, a short time ago",
-        /// A sensor of coarse resolution does so at rest.
-        Repeats = 3: "it has the same bits as before",
-        Jumps = 4: "it moved faster than the robot can",
+        Jumps = 3: "it moved faster than the robot can",
         /// It is used again after a stop and reset, or from a sensor that is started again.
-        Jumped = 5: "it moved faster than the robot can many times in a row",
+        Jumped = 4: "it moved faster than the robot can many times in a row",
         /// The same.
-        Frozen = 6: "it had the same bits while the robot moved",
+        Frozen = 5: "it had the same bits while the robot moved",
     }
 }

@@ -146,11 +146,14 @@ impl GaussNewton {
             }
             if round == 0 && is_staged {
                 let most = CLAMPED_SHARE * trial.incumbent.cost();
+                let may_take = trial.is_followed && trial.incumbent.is_evaluated();
                 let step = &self.step[..dimension];
                 let step_length = trial.backtrack_until_violation(step, HALVINGS_FIRST, budget)?;
                 let incumbent = &trial.incumbent;
-                is_taken =
-                    step_length == 1.0 && incumbent.cost() < most && !incumbent.is_violated();
+                is_taken = may_take
+                    && step_length == 1.0
+                    && incumbent.cost() < most
+                    && !incumbent.is_violated();
                 if is_taken {
                     break;
                 }

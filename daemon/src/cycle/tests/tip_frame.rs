@@ -104,3 +104,21 @@ fn a_tip_that_was_lost_is_followed_again_after_a_while() {
     other.inputs.tip_sensors += 1;
     assert_eq!(other.turn().tip_use, MeasurementUse::Used);
 }
+
+/// A sensor that publishes each picture twice: the second one changes neither the trust in it nor the cause.
+#[test]
+fn the_same_bits_again_leave_the_cause_as_it_is() {
+    for (aside_m, cause) in [(0.0, None), (0.12, Some(TipCause::Far))] {
+        let mut trial = at_begin(Interface::Position, Matrix3::identity());
+        trial.feed_line(BEGIN_M, ACROSS_M_S, 0.1);
+        trial.turns(100);
+        trial.tip_error_m = Vector3::new(0.0, aside_m, 0.0);
+        assert_eq!(trial.turns(10).tip_unused, cause);
+        let picture_m = trial.plant.tip_m() + trial.tip_error_m;
+        trial.frozen_tip_m = Some(picture_m);
+        assert_eq!(trial.turn().tip_unused, cause);
+        let again = trial.turn();
+        assert_eq!(again.tip_use, MeasurementUse::Implausible);
+        assert_eq!(again.tip_unused, cause);
+    }
+}
