@@ -122,7 +122,7 @@ message! {
     ///
     /// It holds every input of the cycle except the reference. That is reproduced from the clients' chunks in the order
     /// of the events of the records; see `docs/replay.md`.
-    pub struct Telemetry "cdcr.Telemetry.v12" {
+    pub struct Telemetry "cdcr.Telemetry.v13" {
         /// The daemon, number of the record, time of publication.
         header: Header,
 
@@ -293,6 +293,10 @@ message! {
         way_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// A reference farther from the tip than this is not approached \[m\]; infinite: it is, from anywhere.
         approach_distance_m: f64,
+        /// Largest speed of a tip that is behind its reference and returns to it \[m/s\]; infinite: no limit.
+        pace_m_s: f64,
+        /// The same of its turns \[rad/s\].
+        pace_rad_s: f64,
         /// 1 where a latched mode was left and control has not begun since: a following error is no fault then.
         control_begins: u32 [yes],
         /// 1 while the commanded position moves to where control begins after a reset.

@@ -18,7 +18,7 @@
 //! | `motion` | dynamics: bends over the horizon as a function of the controls (Eq. 4) |
 //! | `pose_error`, `obstacles`, `limits` | cost of one step (Eq. 5) |
 //! | `problem` | cost of a plan and its linear model |
-//! | `pace` | reference of a robot with a speed limit, as far as it can be followed |
+//! | `pace` | reference of a robot that is behind it, as far as it can follow |
 //! | `knowledge`, `escape` | candidates known before the search |
 //! | `solver` | sequence of knowledge, swarm and Gauss-Newton |
 //! | `reachable` | box of the controls; obstacles and limits within reach |
@@ -51,10 +51,10 @@ pub use report::{Constraint, SolveReport, SolveStatus};
 pub use settings::{Coordinates, NmpcSettings, RateWeight, SettingsError, SolverKind, ranges};
 
 use crate::optimizer::{Budget, Simd};
-use crate::reference::ReferenceSample;
+use crate::reference::{Pace, ReferenceSample};
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Obstacle, Robot};
 use foresight::Foresight;
-use pace::pace;
+use pace::{is_beside_obstacle, pace_reference, slow_down};
 use reachable::{Reachable, SolveContext};
 use solver::Solver;
 
@@ -104,6 +104,7 @@ pub struct Nmpc {
     period_s: f64,
     /// Largest growth of the rate of a component \[rad/s²\].
     acceleration_rad_s2: f64,
+    pace: Pace,
     settings: NmpcSettings,
     horizon: Horizon,
     reachable: Reachable,
@@ -116,7 +117,7 @@ pub struct Nmpc {
     restored_periods: u64,
     solver: Solver,
     foresight: Foresight,
-    /// The reference of a robot with a speed limit, as far as it can be followed.
+    /// The reference, as far as a robot that is behind it can follow.
     paced: Vec<ReferenceSample>,
 }
 
@@ -126,6 +127,7 @@ impl Clone for Nmpc {
         let simd = self.solver.simd();
         let mut clone = Self::from_valid(simd, self.robot.clone(), self.period_s, self.settings);
         clone.acceleration_rad_s2 = self.acceleration_rad_s2;
+        clone.pace = self.pace;
         clone.plan.copy_from_slice(&self.plan);
         clone.warm_plan.copy_from_slice(&self.warm_plan);
         clone.restored_periods = self.restored_periods;
@@ -164,6 +166,7 @@ impl Nmpc {
             robot,
             period_s,
             acceleration_rad_s2: f64::INFINITY,
+            pace: Pace::UNLIMITED,
             settings,
             horizon: Horizon::new(&settings, width),
             reachable: Reachable::with_capacity(unknowns),
@@ -188,6 +191,12 @@ impl Nmpc {
     /// vectors only, not to bend angles.
     pub fn limit_acceleration(&mut self, acceleration_rad_s2: f64) {
         self.acceleration_rad_s2 = acceleration_rad_s2;
+    }
+
+    /// Limits how fast a tip that is behind its reference returns to it; [`Pace::UNLIMITED`], the default: as fast as all
+    /// other limits allow. Does not apply to evasion of an obstacle.
+    pub fn limit_pace(&mut self, pace: Pace) {
+        self.pace = pace;
     }
 
     /// Replaces the settings. The plan is truncated or extended to the new horizon, and reset to zero when
@@ -239,6 +248,11 @@ impl Nmpc {
         &self.settings
     }
 
+    /// The pace in force.
+    pub fn pace(&self) -> &Pace {
+        &self.pace
+    }
+
     /// The robot.
     pub fn robot(&self) -> &Robot {
         &self.robot
@@ -257,8 +271,8 @@ impl Nmpc {
 
     /// Computes the rates for the period that begins now (Fig. 2).
     ///
-    /// Where the robot limits the speed of its section ends, a reference that is farther away than its tip can be by
-    /// then is followed at that speed, on the straight line to it.
+    /// A reference that is farther away than the tip may be by then is followed at the pace that is permitted, on the
+    /// straight line to it ([`Nmpc::limit_pace`], [`Robot::tip_speed_max_m_s`]).
     ///
     /// The work is bounded and nothing allocates. The result is never worse than the warm start; when the
     /// budget ends the solve, it is the incumbent. Same input, settings, plan and work give the same bits.
@@ -279,26 +293,33 @@ impl Nmpc {
             self.forget_plan();
             return (BendRates::zero(n), SolveReport::default());
         }
-        let Some(speed_m_s) = self.robot.tip_speed_max_m_s() else {
+        let pace = (self.pace).at_most(self.robot.tip_speed_max_m_s().unwrap_or(f64::INFINITY));
+        if pace == Pace::UNLIMITED {
             return self.solve_within(input, budget);
-        };
+        }
+        let tip = self.robot.tip_pose(input.configuration);
+        let from = (&tip, self.period_s);
         let mut paced = core::mem::take(&mut self.paced);
-        let tip_m = self.robot.tip_position(input.configuration);
-        let step_m = speed_m_s * self.period_s;
-        pace(
-            input.reference,
-            self.horizon.steps(),
-            &tip_m,
-            step_m,
-            &mut paced,
-        );
-        let input = SolveInput {
-            reference: &paced,
+        let steps = self.horizon.steps();
+        let is_behind = pace_reference(&pace, input.reference, steps, from, &mut paced);
+        let is_blocked =
+            is_behind && is_beside_obstacle(&self.robot, input, self.settings.safe_distance_m);
+        let reference = if is_behind && !is_blocked {
+            &paced
+        } else {
+            input.reference
+        };
+        let seen = SolveInput {
+            reference,
             ..*input
         };
-        let solved = self.solve_within(&input, budget);
+        let (mut rates, report) = self.solve_within(&seen, budget);
+        if is_behind {
+            // The command is limited to the robot's own limit later, which reports it.
+            rates = slow_down(rates, &self.robot, input, &self.pace, from);
+        }
         self.paced = paced;
-        solved
+        (rates, report)
     }
 
     /// Solves and keeps the previous plan, so that later solves give the same bits as without the rehearsal.

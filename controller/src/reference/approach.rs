@@ -133,15 +133,10 @@ impl Approach {
         let left = offset_left(part(self.duration_ns));
         let joining_s = self.joining_ns as f64 * 1e-9;
         let joined_m = self.velocity_m_s * (speed_left(part(self.joining_ns)) * joining_s);
-        let turn = UnitQuaternion::from_scaled_axis(self.turn_rad * left);
         ReferenceSample {
             state: sample.state,
             position_m: sample.position_m + self.offset_m * left + joined_m,
-            orientation: match sample.orientation {
-                Orientation::Free => Orientation::Free,
-                Orientation::Axis(axis) => Orientation::Axis(turn * axis),
-                Orientation::Full(rotation) => Orientation::Full(turn * rotation),
-            },
+            orientation: sample.orientation.turned(self.turn_rad * left),
         }
     }
 }
@@ -158,7 +153,7 @@ fn speed_left(s: f64) -> f64 {
 
 /// Rotation from the reference's orientation to the tip's, as axis times angle \[rad\]. Zero for exactly opposite axes,
 /// which have no shortest rotation; the solver then finds one.
-fn turn_rad(tip: &Pose, wanted: &Orientation) -> Vector3<f64> {
+pub(super) fn turn_rad(tip: &Pose, wanted: &Orientation) -> Vector3<f64> {
     let turn = match *wanted {
         Orientation::Free => None,
         Orientation::Axis(axis) => {

@@ -2,7 +2,7 @@
 //!
 //! [`Trajectory`] holds the points of a client. [`ReferenceWindow`] holds the samples for one solve: at the release and
 //! at each step of the horizon. [`FollowedReference`] is the reference that the tip follows: the samples of the window,
-//! with an [`Approach`] at the beginning.
+//! with an [`Approach`] at the beginning. [`Pace`] says how fast a tip that was kept back may return to it.
 //!
 //! Invariant: nothing here knows the source of the points. Times are nanoseconds of one clock chosen by the caller.
 //! Nothing allocates after construction.
@@ -10,11 +10,13 @@
 mod approach;
 mod followed;
 mod interpolation;
+mod pace;
 mod trajectory;
 mod window;
 
 pub use approach::{Approach, ApproachLimits, QUINTIC_ACCELERATION_PEAK, QUINTIC_SPEED_PEAK};
 pub use followed::{FollowedReference, GridPoint};
+pub use pace::Pace;
 pub use trajectory::{POINT_SPACING_MIN_NS, Trajectory, TrajectoryError};
 pub use window::{HORIZON_STEPS_MAX, ReferenceWindow};
 
@@ -30,6 +32,19 @@ pub enum Orientation {
     Axis(Unit<Vector3<f64>>),
     /// The complete rotation base → tip.
     Full(UnitQuaternion<f64>),
+}
+
+impl Orientation {
+    /// Turned about a base axis by an angle: axis times angle (rad).
+    #[must_use]
+    fn turned(&self, by_rad: Vector3<f64>) -> Self {
+        let turn = UnitQuaternion::from_scaled_axis(by_rad);
+        match *self {
+            Self::Free => Self::Free,
+            Self::Axis(axis) => Self::Axis(turn * axis),
+            Self::Full(rotation) => Self::Full(turn * rotation),
+        }
+    }
 }
 
 /// Interpolation of the position between two points.

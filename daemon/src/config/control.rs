@@ -142,7 +142,7 @@ table! {
         /// approach_distance_m is rejected, and a tracking robot holds when such a reference replaces its own. "auto": "direct" for the ideal simulated robot, else "smooth".
         approach: ApproachKind = ApproachKind::Auto;
         /// Largest speed at which the distance decays, {range}. To join a moving reference, the tip briefly moves up to
-        /// 1.5 times as fast as the reference.
+        /// 1.5 times as fast as the reference. A tip that something kept back returns at this speed beside the reference's own.
         approach_speed_m_s: f64 = 0.1, in 1e-4..=100.0, usual 0.0..=5.0;
         /// Largest acceleration that an approach adds to the reference's own, {range}. It is exceeded where the tip would otherwise
         /// deviate by more than 2 % of the robot's length. The tip turns towards an orientation at most at home_rate_rad_s.

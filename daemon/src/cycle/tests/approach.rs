@@ -1,5 +1,7 @@
 //! A reference that begins away from the tip, or in motion, is reached within the limits of the approach.
 
+mod held_back;
+
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::safety::Refusal;
 use nalgebra::Vector3;

@@ -138,3 +138,66 @@ fn the_way_home_is_guarded_too() {
     client.sender.clear().unwrap();
     wait_mode(&mut client.telemetry, Mode::Holding);
 }
+
+/// Speed of the tip over the time between the records \[m/s\].
+fn tip_speed_m_s(before: &Telemetry, after: &Telemetry) -> f64 {
+    let moved_m: f64 = (before.tip_position_m.iter().zip(after.tip_position_m))
+        .map(|(before_m, after_m)| (after_m - before_m).powi(2))
+        .sum();
+    moved_m.sqrt() / ((after.release_ns - before.release_ns) as f64 * 1e-9)
+}
+
+#[test]
+fn a_tip_that_an_obstacle_held_returns_at_its_pace_when_it_is_gone() {
+    const AWAY_M: f64 = 0.06;
+    let daemon = Daemon::start(&bearing_contact());
+    let connection = daemon.connect();
+    let sender = connection.obstacle_sender().unwrap();
+    let line = Line {
+        start_m: [0.1, 0.0, 0.8],
+        velocity_m_s: [0.032, 0.0, -0.015],
+        duration_s: 11.0,
+        tip_axis: None,
+    };
+    let speed_m_s = line.velocity_m_s[0].hypot(line.velocity_m_s[2]);
+    let mut hand = Obstacle {
+        radius_m: 0.2,
+        ..ball(1, [0.5, 0.0, 0.7])
+    };
+    // The approach to the line takes 3 s of it.
+    let (mut comes_ns, mut is_gone) = (u64::MAX, false);
+    let (mut fastest_m_s, mut error_m) = (0.0_f64, f64::INFINITY);
+    let mut begin: Option<Telemetry> = None;
+    let feeder = connection.feed(&line, tracked()).unwrap();
+    let run = feeder.run(|event| {
+        match event {
+            FeedEvent::Scheduled { start_ns } => comes_ns = start_ns + 4_000_000_000,
+            FeedEvent::Record(record) if record.release_ns > comes_ns => {
+                if hand.measured_ns != 0 {
+                    sender.upsert(&[hand]).unwrap();
+                    hand.measured_ns = 0;
+                }
+                if !is_gone && record.position_error_m > AWAY_M {
+                    sender.clear().unwrap();
+                    is_gone = true;
+                }
+                let before = begin.get_or_insert(*record);
+                if record.release_ns >= before.release_ns + 50_000_000 {
+                    if is_gone {
+                        fastest_m_s = fastest_m_s.max(tip_speed_m_s(before, record));
+                    }
+                    begin = Some(*record);
+                }
+                error_m = record.position_error_m;
+            }
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    });
+    run.unwrap();
+    assert!(is_gone, "{error_m}");
+    // The largest speed of the approach is 0.1 m/s by default; noise of the encoders.
+    let gentle_m_s = 1.1 * (0.1 + speed_m_s);
+    assert!(fastest_m_s < gentle_m_s, "{fastest_m_s}");
+    assert!(error_m < 1e-3, "{error_m}");
+}
