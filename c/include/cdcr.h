@@ -185,7 +185,8 @@ int cdcr_driver_update(CdcrDriver *driver, CdcrDriverUpdate *update);
 int cdcr_driver_rates_at(CdcrDriver *driver, uint64_t now_ns, CdcrRates *rates);
 
 /* Commanded position at a time: on the way to the target of the newest command, without overshoot. It stays where it stands
- * after missed commands in Stopped and Faulted. CDCR_NOTHING before the first command. */
+ * after missed commands in Stopped and Faulted. CDCR_NOTHING before the first command, and until the reset of a robot
+ * that is Stopped or Faulted then: the motors hold. */
 int cdcr_driver_position_at(CdcrDriver *driver, uint64_t now_ns, CdcrPosition *position);
 
 /* Rests until the next command, which is then treated as the first and must match the last measurement. For motors whose

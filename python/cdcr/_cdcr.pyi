@@ -146,7 +146,7 @@ class Driver:
     def __repr__(self, /) -> str: ...
     def cable_lengths(self, /) -> Doubles | None:
         """
-        How long the cables shall be now [m]: (3 n,), or None before the first command. Takes all commands that wait.
+        How long the cables shall be now [m]: (3 n,), or None before the first command and until the reset of a robot that is Stopped or Faulted then: the motors hold. Takes all commands that wait.
         """
     def cable_speeds(self, /) -> Doubles:
         """

@@ -140,7 +140,7 @@ impl DriverPort {
         Ok(Doubles::new(&[cables], &[], speeds[..cables].to_vec()))
     }
 
-    /// How long the cables shall be now [m]: (3 n,), or None before the first command. Takes all commands that wait.
+    /// How long the cables shall be now [m]: (3 n,), or None before the first command and until the reset of a robot that is Stopped or Faulted then: the motors hold. Takes all commands that wait.
     fn cable_lengths(&self, py: Python<'_>) -> PyResult<Option<Doubles>> {
         let cables = self.robot.inner.cable_count();
         let position = self.worker.call_on_thread(py, |driver| {

@@ -1,9 +1,11 @@
 use std::ops::Range;
 
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode};
+use cdcr_shared_types::limits::COORDINATES_MAX;
 use cdcr_shared_types::{Command, Measurement, RobotDescription};
 
 use super::{CommandRefusal, CommandedPosition, CommandedRates, bounds};
+use crate::model::robot_of;
 
 /// Rates and positions that a driver applies at any time, from the received commands. Rates expire, positions
 /// do not overshoot, and inadmissible commands are refused.
@@ -84,6 +86,8 @@ const ROUNDING_S: f64 = 1e-8;
 /// After a gap the motors move at this multiple of the commanded speed at most: at twice the speed they have caught up
 /// after as long as the gap was.
 const CATCH_UP: f64 = 2.0;
+/// Duration of the move from where the cables are measured to a first position \[s\].
+const FIRST_MOVE_S: f64 = 1.0;
 /// Least share of the robot's speed at which a move is made, so that a short one ends.
 const PACE_MIN: f64 = 1e-3;
 
@@ -136,9 +140,12 @@ impl CommandFollower {
             self.last_refusal = Some(refusal);
             return Err(refusal);
         }
+        if self.holds_before(command) {
+            return Ok(());
+        }
         self.rested = self.rest(now_ns);
-        // The robot was measured at the first position: there is no move to it.
-        let begin = begin.unwrap_or(end);
+        // Bends are measured on the robot, beside where its loaded motors stand: there is no move.
+        let begin = begin.or_else(|| self.measured_position()).unwrap_or(end);
         // Late commands must not make up for their delay by a jump.
         let shortest_s = bounds::shortest_s(&self.robot, &begin, &end) - ROUNDING_S;
         let pace = self.pace(command, shortest_s, now_ns);
@@ -157,11 +164,32 @@ impl CommandFollower {
         Ok(())
     }
 
+    /// A first position in Stopped and Faulted is not taken: nothing moves before the reset.
+    fn holds_before(&self, command: &Command) -> bool {
+        self.interface == Interface::Position && self.present.is_none() && rests(command)
+    }
+
+    /// Where the motors stand, if the measurement is one of the cables.
+    fn measured_position(&self) -> Option<CommandedPosition> {
+        let of_cables = MeasurementKind::CableLengths.code();
+        let measured = self
+            .measured
+            .filter(|measured| measured.kind == of_cables)?;
+        let robot = robot_of(&self.robot).ok()?;
+        let bends = robot.bend_from_cable_lengths(&measured.cable_length_m);
+        let mut bend_rad = [0.0; COORDINATES_MAX];
+        bend_rad[..bends.as_slice().len()].copy_from_slice(bends.as_slice());
+        Some(CommandedPosition {
+            bend_rad,
+            cable_length_m: measured.cable_length_m,
+        })
+    }
+
     /// Highest speed of a move that takes `shortest_s` at the robot's largest one, as a share of that speed. After a gap:
     /// [`CATCH_UP`] times the mean speed of the way that was missed, or of the commands if these are faster now.
     fn pace(&self, command: &Command, shortest_s: f64, now_ns: u64) -> f64 {
         let Some(present) = self.present.as_ref() else {
-            return 1.0;
+            return (shortest_s / FIRST_MOVE_S).clamp(PACE_MIN, 1.0);
         };
         if !present.has_gap(now_ns) {
             return 1.0;
@@ -206,10 +234,7 @@ impl CommandFollower {
         if !present.is_of_sender(command) {
             return Some(standing.minus(&commanded));
         }
-        let rests = [Mode::Stopped, Mode::Faulted]
-            .map(Mode::code)
-            .contains(&command.mode);
-        if rests && present.has_gap(now_ns) {
+        if rests(command) && present.has_gap(now_ns) {
             let end = present
                 .offset
                 .map_or(commanded, |offset| commanded.plus(&offset));
@@ -330,8 +355,9 @@ impl CommandFollower {
     }
 
     /// Commanded position at `now_ns`: on a straight line from the position at which the command was taken to
-    /// its target at `target_ns`, then constant. `None` before the first command. For a driver that obeys
-    /// [`Interface::Position`].
+    /// its target at `target_ns`, then constant. `None` before the first command, and until the reset of a robot that is
+    /// Stopped or Faulted then: the motors hold. Where the driver measures cables, the first command leads from there to
+    /// its position in a second. For a driver that obeys [`Interface::Position`].
     ///
     /// The position never overshoots the target and never exceeds the robot's largest rates, so it may arrive
     /// later, after lost or late commands. It is constant from `valid_until_ns` on. Another daemon does not move
@@ -378,6 +404,12 @@ impl CommandFollower {
         self.present = None;
         self.rested = Rest::default();
     }
+}
+
+fn rests(command: &Command) -> bool {
+    [Mode::Stopped, Mode::Faulted]
+        .map(Mode::code)
+        .contains(&command.mode)
 }
 
 /// It acts on the measurements of another driver than `own_id`.

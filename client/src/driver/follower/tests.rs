@@ -1,3 +1,4 @@
+mod first;
 mod gap;
 mod rest;
 mod takeover;

@@ -66,7 +66,8 @@ fn motors_that_missed_commands_stay_in_stopped_and_faulted() {
 #[test]
 fn a_gap_without_motion_keeps_the_bits_of_the_position() {
     for mode in [Mode::Holding, Mode::Stopped] {
-        let mut follower = CommandFollower::new(&robot(), Interface::Position);
+        let first = in_mode(Mode::Holding, 5, 0.1 + 0.2);
+        let mut follower = follower(Interface::Position, &[first]);
         for cycle in [10, 30, 60, 61, 90] {
             take(&mut follower, &in_mode(mode, cycle, 0.1 + 0.2)).unwrap();
             assert_eq!(at(&follower, cycle as f64 + 1.0).0, 0.1 + 0.2);
