@@ -1,4 +1,4 @@
-use cdcr_controller::estimator::{Estimator, Measurement, Slack};
+use cdcr_controller::estimator::{Estimator, Measurement, Slack, tip_offset_max_m};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Pose, Robot};
 use cdcr_controller::safety::{
@@ -323,6 +323,12 @@ impl RobotState {
 
     /// The commanded position is beside the robot: one measurement may be noise, and the average is late.
     fn is_commanded_here(&self) -> bool {
+        if self.measured.is_none() {
+            // Many bends have the same tip: motors are elsewhere only if their tip is.
+            let tips_m =
+                [&self.commanded, self.estimator.motors()].map(|at| self.robot.tip_position(at));
+            return (tips_m[0] - tips_m[1]).norm() <= tip_offset_max_m(self.robot.reach_m());
+        }
         [self.estimator.motors_measured(), self.estimator.motors()]
             .iter()
             .any(|at| !is_apart(&self.commanded, at, BESIDE_RAD))

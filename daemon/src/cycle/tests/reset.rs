@@ -271,3 +271,28 @@ fn a_reset_asks_about_a_pose_that_differs_and_about_no_other() {
         assert_eq!(reset.answers[0].unwrap().outcome, Ok(()), "{interface:?}");
     }
 }
+
+/// The estimate of a robot with a load differs from its commanded position; a reset would move it by this difference
+/// again and again.
+#[test]
+fn resets_move_no_robot_of_which_the_tip_alone_is_measured() {
+    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), DIRECT);
+    trial.measures_tip_alone = true;
+    trial.turns(200);
+    trial.feed_line([0.1, 0.05, 0.85], [0.0; 3], 0.0);
+    trial.ask(TRACK);
+    trial.turns(400);
+    trial.ask(Request::Hold);
+    trial.turns(100);
+    let tip_m = trial.tip_m;
+    for _ in 0..4 {
+        trial.ask(Request::Stop);
+        trial.turns(50);
+        let reset = trial.ask(Request::Reset);
+        assert_eq!(reset.answers[0].unwrap().outcome, Ok(()));
+        trial.turns(300);
+        let moved_m = (trial.tip_m - tip_m).norm();
+        println!("{moved_m} m");
+        assert!(moved_m < 1e-3, "{moved_m}");
+    }
+}

@@ -69,6 +69,8 @@ pub(super) struct Trial {
     pub(super) cable_error_m: [f64; CABLES_MAX],
     /// The robot has a tip sensor in addition to its encoders.
     pub(super) measures_tip: bool,
+    /// The driver measures the tip, and neither bends nor cables.
+    pub(super) measures_tip_alone: bool,
     /// Error added to the tip sensor's position \[m\].
     pub(super) tip_error_m: Vector3<f64>,
     /// Axes of the base in the frame of the tip sensor.
@@ -133,6 +135,7 @@ impl Trial {
             rehearsal_looks: 0,
             cable_error_m: [0.0; CABLES_MAX],
             measures_tip: false,
+            measures_tip_alone: false,
             tip_error_m: Vector3::zeros(),
             tip_axes: Matrix3::identity(),
             frozen_tip_m: None,
@@ -168,8 +171,13 @@ impl Trial {
     pub(super) fn measure(&mut self, release_ns: u64) {
         let cables_m = self.plant.measure_cables().unwrap();
         let lengths_m = core::array::from_fn(|cable| cables_m[cable] + self.cable_error_m[cable]);
+        let measurement = if self.measures_tip_alone {
+            Measurement::TipPosition(self.plant.measure_tip().unwrap())
+        } else {
+            Measurement::CableLengths(lengths_m)
+        };
         self.inputs.measurement = Some(TimedMeasurement {
-            measurement: Measurement::CableLengths(lengths_m),
+            measurement,
             measured_ns: release_ns - MEASURED_BEFORE_NS,
             rested_ns: self.stated_ns(release_ns - MEASURED_BEFORE_NS),
         });
