@@ -410,20 +410,22 @@ impl Problem for TrackingProblem<'_> {
             Coordinates::BendVector => self.position_residuals::<VECTORS>(z, residuals, budget),
             Coordinates::BendAngles => self.position_residuals::<ANGLES>(z, residuals, budget),
         }
+        .ok()
     }
 
     fn evaluate_until_violation(
         &self,
         z: &mut [f64],
         incumbent: &Incumbent,
+        residuals: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<(Evaluation<1>, bool)> {
         match self.motion.coordinates() {
             Coordinates::BendVector => {
-                self.evaluate_until_violation_in::<VECTORS>(z, incumbent, budget)
+                self.evaluate_until_violation_in::<VECTORS>(z, incumbent, residuals, budget)
             }
             Coordinates::BendAngles => {
-                self.evaluate_until_violation_in::<ANGLES>(z, incumbent, budget)
+                self.evaluate_until_violation_in::<ANGLES>(z, incumbent, residuals, budget)
             }
         }
     }

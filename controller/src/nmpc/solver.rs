@@ -239,7 +239,7 @@ impl Solver {
         rest_plan.restart(warm_plan, None);
         let found = task
             .problem
-            .evaluate_until_violation(plan, rest_plan, budget);
+            .evaluate_until_violation(plan, rest_plan, &mut [], budget);
         let Some((until, is_whole)) = found else {
             return (None, false);
         };

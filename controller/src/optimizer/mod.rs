@@ -136,15 +136,21 @@ pub(crate) trait Problem {
 
     /// Evaluates one point up to the place where it violates a constraint more than the incumbent does, or
     /// where `budget` ends; from there on it changes `z`. Returns whether `z` is unchanged. None as above, if
-    /// no evaluation is left. A problem without constraints changes nothing.
+    /// no evaluation is left. A problem without constraints changes nothing. Residuals, of which only a problem
+    /// with [`Self::rounding`] has some, are written as by [`Self::evaluate_residuals`] if `z` is unchanged.
     fn evaluate_until_violation(
         &self,
         z: &mut [f64],
         incumbent: &Incumbent,
+        residuals: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<(Evaluation<1>, bool)> {
-        let evaluation = self.evaluate_below(z, incumbent.cost(), budget)?;
-        Some((evaluation, true))
+        let evaluation = if residuals.is_empty() {
+            self.evaluate_below(z, incumbent.cost(), budget)
+        } else {
+            self.evaluate_residuals(z, residuals, budget)
+        };
+        Some((evaluation?, true))
     }
 
     /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|² into `model`. False when `budget`

@@ -67,8 +67,20 @@ impl TrackingProblem<'_> {
         &self,
         z: &mut [f64],
         incumbent: &Incumbent,
+        residuals: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<(Evaluation<1>, bool)> {
+        if self.is_position_only() {
+            return match self.position_residuals::<P>(z, residuals, budget) {
+                Ok(evaluation) => Some((evaluation, true)),
+                Err(step) => {
+                    let first = self.rest_from(self.motion.horizon().block_of(step), z);
+                    let nothing = Evaluation::from_cost(Wide([0.0]));
+                    let evaluation = self.evaluate_at_rest::<P>(z, first, &nothing)?;
+                    Some((evaluation, false))
+                }
+            };
+        }
         let (cost_cutoff, allowed) = (incumbent.cost(), incumbent.violations());
         let mut rollout = Rollout::<1, P>::new(self, &|i: usize| Wide([z[i]]));
         let mut block_begin = (0, rollout);
@@ -86,9 +98,7 @@ impl TrackingProblem<'_> {
             if breaks || is_left.is_none() {
                 is_whole = false;
                 (step, rollout) = block_begin;
-                let first = block * self.width();
-                z[first..].fill(0.0);
-                self.bounds.project(z);
+                let first = self.rest_from(block, z);
                 if is_left.is_none() {
                     let evaluation = self.evaluate_at_rest::<P>(z, first, &rollout.evaluation)?;
                     return Some((evaluation, false));
@@ -99,6 +109,14 @@ impl TrackingProblem<'_> {
             rollout.evaluation = self.evaluate_below(z, cost_cutoff, budget)?;
         }
         Some((rollout.evaluation, is_whole))
+    }
+
+    /// Sets the rates from a block on to zero, or to the nearest values in the box. Returns the first of them.
+    fn rest_from(&self, block: usize, z: &mut [f64]) -> usize {
+        let first = block * self.width();
+        z[first..].fill(0.0);
+        self.bounds.project(z);
+        first
     }
 
     /// Cost of a plan with zero rates from unknown `first` on, after the budget ended its evaluation. If no

@@ -4,7 +4,7 @@
 use super::TrackingProblem;
 use crate::nmpc::motion::{Bends, VECTORS};
 use crate::nmpc::pose_error::distance_squared;
-use crate::optimizer::{Budget, Cost, Evaluation, LinearModel, Problem};
+use crate::optimizer::{Budget, Cost, Evaluation, LinearModel};
 use crate::reference::Orientation;
 use crate::robot::{COORDINATES_MAX, SectionParameters, TipSeries, tip_position_of, tip_slopes_of};
 use crate::wide::{Aligned, Wide};
@@ -96,10 +96,9 @@ impl TrackingProblem<'_> {
             .tip_series(&self.motion.start_shape(), &bend_change_max_rad)
     }
 
-    /// Whether the cost without obstacles and limits contains only the tip's position and the rates, and the
-    /// rows are not staged.
+    /// Whether the cost without obstacles and limits contains only the tip's position and the rates.
     pub(super) fn allows_position_only(&self) -> bool {
-        !self.is_staged() && self.settings.rate_change_weight == 0.0 && self.follows_positions
+        self.settings.rate_change_weight == 0.0 && self.follows_positions
     }
 
     /// Whether no orientation has a weight.
@@ -111,18 +110,19 @@ impl TrackingProblem<'_> {
         })
     }
 
-    /// Whether the cost contains only the tip's position and the rates, and the rows are not staged.
+    /// Whether the cost contains only the tip's position and the rates.
     pub(in crate::nmpc) fn is_position_only(&self) -> bool {
         self.has_position_only_cost && self.is_free()
     }
 
-    /// The cost of one plan. Also writes the position residuals, up to the length of `residuals`.
+    /// The cost of one plan, or the step in which the budget ended. Also writes the position residuals, up to the
+    /// length of `residuals`.
     pub(super) fn position_residuals<const P: usize>(
         &self,
         z: &[f64],
         residuals: &mut [f64],
         budget: &mut Budget<'_>,
-    ) -> Option<Evaluation<1>> {
+    ) -> Result<Evaluation<1>, usize> {
         let sections = self.robot.sections();
         with_known_sections!(
             sections,
@@ -137,15 +137,15 @@ impl TrackingProblem<'_> {
         z: &[f64],
         residuals: &mut [f64],
         budget: &mut Budget<'_>,
-    ) -> Option<Evaluation<1>> {
+    ) -> Result<Evaluation<1>, usize> {
         let mut bends: Bends<1, P> = self.motion.start_of(2 * sections.len());
         let (mut cost, mut rows) = (self.regularisation_at(z), residuals.chunks_exact_mut(3));
         let (step_ns, steps) = (self.step_ns(), self.steps());
         let mut first = 0;
         while first < steps {
-            for _ in first..steps.min(first + 2) {
+            for step in first..steps.min(first + 2) {
                 if !budget.spend(step_ns) {
-                    return None;
+                    return Err(step);
                 }
             }
             let pair = self.advance_pair(sections.len(), &mut bends, z, first);
@@ -163,7 +163,7 @@ impl TrackingProblem<'_> {
             }
             first += 2;
         }
-        Some(Evaluation::from_cost(Wide([cost])))
+        Ok(Evaluation::from_cost(Wide([cost])))
     }
 
     /// Adds the residuals and their derivatives with respect to bend vectors. False: the budget was spent.

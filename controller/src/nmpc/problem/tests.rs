@@ -7,7 +7,7 @@ use super::*;
 use crate::nmpc::obstacles::CLEARANCE;
 use crate::nmpc::solver::CONSTRAINTS_MAX;
 use crate::nmpc::{HORIZON_STEPS_MAX, Horizon, OBSTACLES_MAX};
-use crate::optimizer::{Cost, VIOLATIONS};
+use crate::optimizer::{Cost, QUANTUM_NS, VIOLATIONS};
 use crate::robot::{BendRates, Obstacle, RobotParameters, Shape};
 use crate::wide::{Aligned, LANES};
 
@@ -169,6 +169,36 @@ proptest! {
                     let derivative = model.row(row)[i];
                     prop_assert!((derivative - difference).abs() < 1e-8, "row {row}, control {i}: {derivative} {difference}");
                 }
+            }
+            Ok(())
+        })?;
+    }
+}
+
+proptest! {
+    /// A plan that the budget interrupts keeps what was evaluated, and rests after it.
+    #[test]
+    fn a_budget_that_ends_leaves_the_plan_up_to_there(case in cases(), left_ns in 1..200_u32) {
+        with_problem(&case, |problem| {
+            let mut budget = Budget::from_quanta(0);
+            budget.spend(QUANTUM_NS - left_ns);
+            let mut plan = case.plan.clone();
+            problem.bounds.project(&mut plan);
+            let mut z = plan.clone();
+            let mut incumbent = Incumbent::with_capacity(z.len());
+            incumbent.restart(&z, None);
+            let found = problem.evaluate_until_violation(&mut z, &incumbent, &mut [], &mut budget);
+            let Some((evaluation, is_whole)) = found else {
+                prop_assert!(budget.is_spent());
+                return Ok(());
+            };
+            let unlimited = &mut Budget::unlimited();
+            prop_assert_eq!(Some(evaluation), problem.evaluate_at(&z, unlimited));
+            let kept = z.iter().zip(&plan).take_while(|(z, plan)| z == plan).count();
+            prop_assert!(z[kept..].iter().all(|rate| *rate == 0.0));
+            prop_assert_eq!(is_whole, kept == plan.len());
+            if problem.is_free() {
+                prop_assert_eq!(is_whole, !budget.is_spent());
             }
             Ok(())
         })?;

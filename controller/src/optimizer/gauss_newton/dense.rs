@@ -126,6 +126,13 @@ impl GaussNewton {
             return false;
         }
         self.step[..dimension].fill(0.0);
+        if self.model.is_staged() {
+            let step = &mut self.step[..dimension];
+            let (model, free) = (&self.model, &self.free);
+            return self
+                .smoother
+                .solve_again(model, free, damping, step, budget);
+        }
         let rows = self.model.rows();
         match self.prepare(dimension, damping, budget) {
             None => false,

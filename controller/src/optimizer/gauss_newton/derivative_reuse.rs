@@ -1,5 +1,5 @@
-//! Steps with the derivatives of an earlier point, for a tenth of the time of a linearisation. They follow a
-//! step that has nearly converged.
+//! Steps with the derivatives of an earlier point, for a tenth to a third of the time of others. They follow a step
+//! that has nearly converged.
 
 use super::{GaussNewton, dot};
 use crate::optimizer::{Bounds, Budget, Incumbent, Problem};
@@ -12,7 +12,7 @@ const REUSED_STEPS_MAX: u32 = 3;
 /// A cost below this multiple of the rounding cost needs no further linearisation,
 const LINEARISED_ROUNDINGS: f64 = 4.0;
 /// and below this multiple no further step.
-const REUSE_ROUNDINGS: f64 = 0.25;
+pub(super) const REUSE_ROUNDINGS: f64 = 0.25;
 
 /// The step whose derivatives are used again.
 #[derive(Clone, Copy)]
@@ -21,6 +21,8 @@ pub(super) struct LinearisedStep {
     pub before: f64,
     /// The decrease of the cost predicted by the model.
     pub gain: f64,
+    /// The cost below which no further step is taken. None: derivatives are not used again.
+    pub solved: Option<f64>,
     pub damping: f64,
     /// [`GaussNewtonSettings::residuals_max`](super::GaussNewtonSettings::residuals_max).
     pub residuals_max: f64,
@@ -44,10 +46,11 @@ impl GaussNewton {
         let LinearisedStep {
             mut before,
             mut gain,
+            solved,
             damping,
             residuals_max,
         } = linearised;
-        let Some(rounding) = context.2 else {
+        let (Some(rounding), Some(solved)) = (context.2, solved) else {
             return (0, false);
         };
         let regulariser = self.model.regulariser();
@@ -60,15 +63,15 @@ impl GaussNewton {
         }
         let is_reusable = |before: f64, cost: f64| {
             let serves = cost <= REUSE_SHARE * before || is_rounding(Some(rounding), cost);
-            serves && cost > REUSE_ROUNDINGS * rounding
+            serves && cost > solved
         };
         let (mut accepted, mut converged) = (0, false);
         while accepted < REUSED_STEPS_MAX
+            && self.has_trial_residuals
             && (weight.is_some() || is_reusable(before, incumbent.cost()))
         {
             before = incumbent.cost();
             let origin = incumbent.origin();
-            // The residuals of the incumbent, which was evaluated last.
             let residuals = self.model.residuals_mut();
             residuals.copy_from_slice(&self.trial_residuals[..residuals.len()]);
             let is_better = self.with_trial(context, incumbent, origin, |own, trial| {
@@ -112,6 +115,7 @@ mod tests {
     struct Curved {
         left: f64,
         stages: Stages,
+        is_staged: bool,
         rounding: Option<f64>,
         weight: f64,
         linearised: Cell<u32>,
@@ -132,7 +136,7 @@ mod tests {
             &self.stages
         }
         fn is_staged(&self) -> bool {
-            false
+            self.is_staged
         }
         fn evaluate_below(&self, z: &[f64], _: f64, _: &mut Budget<'_>) -> Option<Evaluation<1>> {
             let squared = self.residuals(z).map(|residual| residual * residual);
@@ -142,6 +146,9 @@ mod tests {
         }
         fn rounding(&self) -> Option<f64> {
             self.rounding
+        }
+        fn least_cost(&self) -> Option<f64> {
+            self.rounding.filter(|_| self.is_staged)
         }
         fn evaluate_residuals(
             &self,
@@ -166,10 +173,20 @@ mod tests {
     }
 
     /// Final cost from a start at this distance from the root, accepted steps, and linearisations.
-    fn refined(beside: f64, [weight, left]: [f64; 2], rounding: Option<f64>) -> (f64, u32, u32) {
+    fn refined(beside: f64, others: [f64; 2], rounding: Option<f64>) -> (f64, u32, u32) {
+        refined_as(false, beside, others, rounding)
+    }
+
+    fn refined_as(
+        is_staged: bool,
+        beside: f64,
+        [weight, left]: [f64; 2],
+        rounding: Option<f64>,
+    ) -> (f64, u32, u32) {
         let problem = Curved {
             left,
             stages: Stages::one(2),
+            is_staged,
             rounding,
             weight,
             linearised: Cell::new(0),
@@ -201,21 +218,28 @@ mod tests {
     #[test]
     fn near_the_end_derivatives_serve_more_than_once() {
         let rounding = f64::EPSILON * f64::EPSILON;
-        for beside in [1e-4, -1e-4, 1e-3, 1e-2, 0.3] {
-            let (cost, accepted, linearised) = refined(beside, [0.0; 2], Some(rounding));
-            assert!(cost <= LINEARISED_ROUNDINGS * rounding, "{beside}: {cost}");
-            assert!(accepted > linearised, "{beside}: {linearised} times");
-            let (_, _, each) = refined(beside, [0.0; 2], None);
-            assert!(linearised < each, "{beside}: {linearised} of {each} times");
+        for (is_staged, most) in [(false, LINEARISED_ROUNDINGS), (true, 1.0)] {
+            for beside in [1e-4, -1e-4, 1e-3, 1e-2, 0.3] {
+                let of = |rounding| refined_as(is_staged, beside, [0.0; 2], rounding);
+                let (cost, accepted, linearised) = of(Some(rounding));
+                assert!(cost <= most * rounding, "{beside}: {cost}");
+                assert!(accepted > linearised, "{beside}: {linearised} times");
+                let (_, _, each) = of(None);
+                assert!(linearised < each, "{beside}: {linearised} of {each} times");
+            }
         }
     }
 
     #[test]
     fn with_a_weight_on_the_unknowns_they_lead_to_the_least_cost_likewise() {
         let rounding = f64::EPSILON * f64::EPSILON;
-        for beside in [1e-4, -1e-4, 1e-3, 1e-2, 0.3] {
-            let (cost, _, linearised) = refined(beside, [1e-8, 0.0], Some(rounding));
-            let (least, _, each) = refined(beside, [1e-8, 0.0], None);
+        for (is_staged, beside) in [false, true]
+            .into_iter()
+            .flat_map(|staged| [1e-4, -1e-4, 1e-3, 1e-2, 0.3].map(|beside| (staged, beside)))
+        {
+            let of = |rounding| refined_as(is_staged, beside, [1e-8, 0.0], rounding);
+            let (cost, _, linearised) = of(Some(rounding));
+            let (least, _, each) = of(None);
             assert!(cost - least <= 1e-8 * least, "{beside}: {cost} {least}");
             assert!(linearised < each, "{beside}: {linearised} of {each} times");
         }

@@ -8,7 +8,7 @@ mod smoother;
 mod step;
 mod trial;
 
-use derivative_reuse::{LinearisedStep, is_rounding};
+use derivative_reuse::{LinearisedStep, REUSE_ROUNDINGS, is_rounding};
 use interior_point::InteriorPoint;
 use riccati::Riccati;
 use smoother::{QuadraticTerm, Smoother};
@@ -72,6 +72,8 @@ pub(crate) struct GaussNewton {
     trial_point: Vec<f64>,
     /// The residuals of the last evaluated point.
     trial_residuals: Vec<f64>,
+    /// Whether that point is the incumbent.
+    has_trial_residuals: bool,
     residuals: Vec<f64>,
     right_side: Vec<f64>,
     matrix: Vec<f64>,
@@ -122,6 +124,7 @@ impl GaussNewton {
             base: Vec::with_capacity(dimension),
             trial_point: Vec::with_capacity(dimension),
             trial_residuals: vec![0.0; rows],
+            has_trial_residuals: false,
             residuals: vec![0.0; all_rows],
             right_side: vec![0.0; order],
             matrix: vec![0.0; order * order],
@@ -148,8 +151,10 @@ impl GaussNewton {
         let mut damping = settings.damping;
         let mut model_is_current = false;
         let (rounding, least) = (problem.rounding(), problem.least_cost());
-        let is_solved =
-            |cost| is_rounding(rounding, cost) || least.is_some_and(|least| cost <= least);
+        let is_solved = |cost| match least {
+            Some(least) => cost <= least,
+            None => is_rounding(rounding, cost),
+        };
         for _ in 0..settings.steps {
             if is_solved(incumbent.cost()) || !budget.begin_quantum() {
                 break;
@@ -196,6 +201,7 @@ impl GaussNewton {
                 let linearised = LinearisedStep {
                     before,
                     gain,
+                    solved: least.or(rounding.map(|cost| REUSE_ROUNDINGS * cost)),
                     damping,
                     residuals_max: settings.residuals_max,
                 };
@@ -276,8 +282,10 @@ impl GaussNewton {
             is_followed: false,
             is_rough: false,
             residuals: rounding.map(|_| &mut trial_residuals[..rows]),
+            is_last_better: false,
         };
         let result = tried(self, &mut trial);
+        self.has_trial_residuals = trial.is_last_better;
         (self.base, self.trial_point, self.trial_residuals) = (base, point, trial_residuals);
         result
     }

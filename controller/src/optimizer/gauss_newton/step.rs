@@ -216,6 +216,7 @@ impl GaussNewton {
                 self.step[i] = 0.0;
             }
             let step = &mut self.step[..dimension];
+            self.factored = if is_rough { 0 } else { self.free.len() };
             if is_rough {
                 let (model, free) = (&self.model, &self.free);
                 // The free unknowns are sorted.

@@ -35,6 +35,8 @@ pub(super) struct Trial<'a, P> {
     pub is_rough: bool,
     /// Residuals of the last evaluated point, if [`Problem::rounding`] is some.
     pub residuals: Option<&'a mut [f64]>,
+    /// Whether that point was better than the incumbent.
+    pub is_last_better: bool,
 }
 
 impl<P: Problem> Trial<'_, P> {
@@ -99,9 +101,11 @@ impl<P: Problem> Trial<'_, P> {
         budget: &mut Budget<'_>,
     ) -> Option<(bool, bool)> {
         self.compute_point(step, 1.0);
+        let residuals = self.residuals.as_deref_mut().unwrap_or_default();
+        let (point, incumbent) = (&mut *self.point, &*self.incumbent);
         let evaluated = self
             .problem
-            .evaluate_until_violation(self.point, self.incumbent, budget);
+            .evaluate_until_violation(point, incumbent, residuals, budget);
         let (evaluation, is_whole) = evaluated?;
         Some((self.offer_evaluated(&evaluation), is_whole))
     }
@@ -126,7 +130,8 @@ impl<P: Problem> Trial<'_, P> {
 
     /// Offers the last tried point to the incumbent. Returns whether it was better.
     pub(super) fn offer_evaluated(&mut self, evaluation: &Evaluation<1>) -> bool {
-        self.incumbent
-            .offer(|i| self.point[i], evaluation, 0, self.origin)
+        let point = |i| self.point[i];
+        self.is_last_better = self.incumbent.offer(point, evaluation, 0, self.origin);
+        self.is_last_better
     }
 }

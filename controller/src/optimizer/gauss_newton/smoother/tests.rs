@@ -3,7 +3,7 @@
 
 use proptest::prelude::*;
 
-use super::super::{FoundStep, GaussNewton};
+use super::super::{FoundStep, GaussNewton, Smoother};
 use crate::optimizer::{
     Bounds, Budget, Evaluation, Incumbent, LinearModel, Problem, Reach, RowStage, Simd, Stages,
 };
@@ -234,6 +234,32 @@ proptest! {
         let best = of(Simd::best());
         for simd in Simd::available() {
             prop_assert_eq!(of(simd), best.clone(), "{:?}", simd);
+        }
+    }
+
+    /// Other residuals, and another point of the weight, with the gains of the last solution.
+    #[test]
+    fn gains_serve_again_with_the_bits_of_a_new_solution((staged, z) in problems(), exponent in 2..14_i32, fixed in any::<u64>()) {
+        let damping = 0.1_f64.powi(exponent);
+        let unknowns = z.len();
+        let free: Vec<usize> = (0..unknowns).filter(|i| fixed >> (i % 64) & 1 == 0).collect();
+        let mut model = LinearModel::with_capacity(ROWS_MAX, CONSTRAINTS_MAX, unknowns, unknowns);
+        let budget = &mut Budget::unlimited();
+        for simd in Simd::available() {
+            model.clear(&staged.stages, true);
+            prop_assert!(staged.linearise(&z, &mut model, budget));
+            let of = || (Smoother::with_capacity(simd, ROWS_MAX), vec![0.0; unknowns]);
+            let ((mut smoother, mut step), (mut other, mut expected)) = (of(), of());
+            prop_assert!(smoother.solve(&model, &free, damping, &mut step, budget));
+            for (i, residual) in model.residuals_mut().iter_mut().enumerate() {
+                *residual = 1e-3 * *residual - 1e-4 * i as f64;
+            }
+            if staged.weight > 0.0 {
+                model.weight_unknowns(staged.weight, &step);
+            }
+            prop_assert!(smoother.solve_again(&model, &free, damping, &mut step, budget));
+            prop_assert!(other.solve(&model, &free, damping, &mut expected, budget));
+            prop_assert_eq!(bits(&step), bits(&expected));
         }
     }
 
