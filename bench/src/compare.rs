@@ -1,23 +1,25 @@
 //! Changes between two runs beyond the noise of their rounds.
 
-mod change;
-
 use std::collections::BTreeMap;
 use std::fmt::{Display, Write as _};
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
-use serde_json::json;
-
-use change::LEAST_CHANGE_PERCENT;
-pub use change::{Change, ChangeClass};
+use serde_json::{Value, json};
+use statrs::function::factorial::binomial;
 
 use crate::dataset::Dataset;
 use crate::environment::Environment;
-use crate::metric::Metric;
+use crate::metric::{Better, Metric};
+use crate::named::named;
 use crate::run_options::RunOptions;
+use ChangeClass::{OneValueAlike, OneValueBetter, OneValueWorse, TooFewRounds, WithinNoise};
 
+/// Rounds that each run needs: with fewer, two ranges are too often disjoint by chance.
+const ROUNDS_MIN: usize = 3;
+/// Smaller changes of the median are ignored, however small the spread \[%\].
+const LEAST_CHANGE_PERCENT: f64 = 2.0;
 /// Numbers that may get worse in addition, because the number of chance changes varies, too.
 const WORSE_MARGIN: usize = 2;
 const NAMES_MAX: usize = 12;
@@ -27,6 +29,55 @@ const NO_OPTIONS: &str = "does not contain its options: it may have measured som
 const OTHER_MACHINE: &str = "absolute times of the two runs cannot be compared then; the ratios to the bare loop, which \
                              each run measured itself, can";
 const OTHER_OPTIONS: &str = "numbers may differ for this reason alone, ratios too";
+
+named! {
+    /// Classification of a number. `OneValue…`: each run has a single value, so chance cannot be estimated.
+    pub enum ChangeClass {
+        Worse = "worse",
+        Better = "better",
+        OneValueWorse = "one-value-worse",
+        OneValueBetter = "one-value-better",
+        WithinNoise = "within-noise",
+        TooFewRounds = "too-few-rounds",
+        OneValueAlike = "one-value-alike",
+    }
+}
+
+/// A change: its class, its size \[%\], the probability to be classified as changed by chance alone, and its row.
+fn change(old: &Metric, new: &Metric) -> Option<(ChangeClass, f64, f64, Value)> {
+    let (before, after) = (old.median()?, new.median()?);
+    let (old_range, new_range) = (old.range()?, new.range()?);
+    let rounds = [old, new].map(|metric| metric.rounds.len());
+    let percent = (before != 0.0).then(|| 100.0 * (after - before) / before.abs());
+    // From zero, every change is large.
+    let size = percent.map_or(f64::INFINITY, f64::abs);
+    let is_apart = old_range.1 < new_range.0 || new_range.1 < old_range.0;
+    let is_better = (new.better == Better::Lower) == (after < before);
+    // Probability that values of one source are disjoint: extreme case of the two-sided rank test, 1 for one value each.
+    let ways = binomial((rounds[0] + rounds[1]) as u64, rounds[0] as u64);
+    let chance = (2.0 / ways).min(1.0);
+    let is_comparable = rounds.iter().all(|count| *count >= ROUNDS_MIN);
+    let [same, worse, better] = match rounds {
+        [1, 1] => [OneValueAlike, OneValueWorse, OneValueBetter],
+        _ if is_comparable => [WithinNoise, ChangeClass::Worse, ChangeClass::Better],
+        _ => [TooFewRounds; 3],
+    };
+    let changed = [worse, better][usize::from(is_better)];
+    let class = [same, changed][usize::from(is_apart && size > LEAST_CHANGE_PERCENT)];
+    let row = json!({
+        "name": new.name,
+        "unit": new.unit,
+        "better": new.better,
+        "before": { "median": before, "range": old_range, "rounds": rounds[0] },
+        "after": { "median": after, "range": new_range, "rounds": rounds[1] },
+        "change_percent": percent,
+        "verdict": class,
+        // That the rounds are disjoint by chance, if they are disjoint.
+        "chance": (is_apart && rounds != [1, 1]).then_some(chance),
+    });
+    let by_chance = if is_comparable { chance } else { 0.0 };
+    Some((class, size, by_chance, row))
+}
 
 #[derive(Debug, Clone, Deserialize)]
 pub struct Input {
@@ -42,11 +93,6 @@ impl Input {
         let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {name}"))?;
         serde_json::from_str(&text).with_context(|| format!("{name} {NO_RESULT}"))
     }
-
-    fn named(&self) -> Named<'_> {
-        let known = self.metrics.iter().filter(|it| !it.rounds.is_empty());
-        known.map(|it| ((&*it.name, &*it.unit), it)).collect()
-    }
 }
 
 /// The measured metrics by name and unit; a number with another unit is another number.
@@ -57,8 +103,8 @@ pub struct Comparison {
     pub before: Environment,
     pub after: Environment,
     pub warnings: Vec<String>,
-    /// Every number that both runs have: changed ones first, worst on top.
-    pub metrics: Vec<Change>,
+    /// A row for every number that both runs have: changed ones first, worst on top.
+    pub metrics: Vec<Value>,
     /// Expected count of numbers classified as changed if nothing has changed.
     pub changed_by_chance: f64,
     pub only_before: Vec<String>,
@@ -67,22 +113,22 @@ pub struct Comparison {
 
 impl Comparison {
     pub fn new(before: &Input, after: &Input) -> Self {
-        let (old, new) = (before.named(), after.named());
-        let both = |(key, old): (_, &&Metric)| Change::new(old, new.get(key)?);
-        let mut metrics: Vec<Change> = old.iter().filter_map(both).collect();
-        // From zero, every change is large.
-        let size = |change: &Change| change.percent.map_or(f64::INFINITY, f64::abs);
+        let [old, new] = [before, after].map(|input| -> Named<'_> {
+            let measured = input.metrics.iter().filter(|it| !it.rounds.is_empty());
+            measured.map(|it| ((&*it.name, &*it.unit), it)).collect()
+        });
+        let both = |(key, old): (_, &&Metric)| change(old, new.get(key)?);
+        let mut changes: Vec<_> = old.iter().filter_map(both).collect();
         // Stable: in the order of the names otherwise.
-        metrics.sort_by(|one, other| size(other).total_cmp(&size(one)));
-        metrics.sort_by_key(|change| change.class);
+        changes.sort_by(|one, other| one.0.cmp(&other.0).then(other.1.total_cmp(&one.1)));
         let only = |these: &Named, others: &Named| {
             let missing = these.keys().filter(|key| !others.contains_key(*key));
             missing.map(|(name, _)| (*name).to_owned()).collect()
         };
         Self {
             warnings: warnings(before, after),
-            changed_by_chance: metrics.iter().map(|change| change.false_alarm).sum(),
-            metrics,
+            changed_by_chance: changes.iter().map(|change| change.2).sum(),
+            metrics: changes.into_iter().map(|change| change.3).collect(),
             only_before: only(&old, &new),
             only_after: only(&new, &old),
             before: before.environment.clone(),
@@ -96,24 +142,22 @@ impl Comparison {
     }
 
     pub fn count(&self, class: ChangeClass) -> usize {
-        let classes = self.metrics.iter().map(|change| change.class);
-        classes.filter(|found| *found == class).count()
+        let metrics = self.metrics.iter();
+        metrics.filter(|row| row["verdict"] == class.name()).count()
     }
 
     pub fn text(&self) -> String {
-        let is_changed = |change: &&Change| change.class < ChangeClass::WithinNoise;
-        let changed: Vec<&Change> = self.metrics.iter().filter(is_changed).collect();
-        let summary = match self.count(ChangeClass::TooFewRounds) {
-            _ if changed.iter().any(|change| change.chance.is_some()) => "",
+        let unchanged = [WithinNoise, TooFewRounds, OneValueAlike].map(|class| self.count(class));
+        let changed = &self.metrics[..self.metrics.len() - unchanged.iter().sum::<usize>()];
+        let summary = match self.count(TooFewRounds) {
+            _ if changed.iter().any(|row| row["chance"].is_f64()) => "",
             all if all == self.metrics.len() => "Nothing can be compared: too few rounds.\n\n",
             _ => "Nothing changed beyond noise.\n\n",
         };
-        let mut table = Dataset::new("compare", include_str!("compare.toml"));
-        if !changed.is_empty() {
-            let rows = changed.iter().map(|change| json!(change)).collect();
-            table.add_titled("changes", &[&LEAST_CHANGE_PERCENT.to_string()], rows);
-        }
         let count = |class: ChangeClass| format!("{} {}", self.count(class), class.name());
+        let mut table = Dataset::new("compare", include_str!("compare.toml"));
+        let least = LEAST_CHANGE_PERCENT.to_string();
+        table.add_titled("changes", &[&least], changed.to_vec());
         table.note = format!(
             "{}.\nWithout any change up to {:.1} of these would be called worse or better, by chance alone; more \
              rounds make it rarer (5 in each run: 1 of 126).",

@@ -187,9 +187,11 @@ impl Dataset {
         json
     }
 
-    /// The filled tables that have a title, as people read them.
+    /// The tables that have a title and rows, as people read them.
     pub fn tables(&self) -> impl Iterator<Item = ShownTable> {
-        let shown = (self.filled_tables()).filter(|(table, _)| !table.title.is_empty());
+        let is_shown =
+            |(table, rows): &(&Table, &Vec<_>)| !(table.title.is_empty() || rows.is_empty());
+        let shown = self.filled_tables().filter(is_shown);
         shown.map(|(table, _)| table.shown())
     }
 

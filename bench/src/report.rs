@@ -231,9 +231,6 @@ impl BenchReport {
             dataset.note = format!("The targets were not evaluated: {why}.");
         }
         dataset.add("targets", rows);
-        if dataset.rows("targets").is_empty() {
-            dataset.table("targets").title.clear();
-        }
         dataset
     }
 
