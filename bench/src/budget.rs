@@ -113,13 +113,8 @@ impl Way {
         ];
         let way = |(name, size): (_, Size)| {
             let (scene, settings) = (size.scene()?, size.settings);
-            let run = closed_loop::run(
-                &scene,
-                NmpcSettings {
-                    solver: SolverKind::GaussNewton,
-                    ..settings
-                },
-            )?;
+            let driving = size.with(|it| it.solver = SolverKind::GaussNewton);
+            let run = closed_loop::run(&scene, driving.settings)?;
             let commands = run.0.into_iter().map(|sample| sample.rates).collect();
             Ok(Self {
                 name,

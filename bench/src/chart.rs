@@ -4,6 +4,7 @@ pub(crate) use cdcr_chart::{
     BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, RGBColor, SKY, Scale, View,
     YELLOW,
 };
+use cdcr_controller::nmpc::SolverKind;
 use hdrhistogram::Histogram;
 use hdrhistogram::iterators::IterationValue;
 use serde_json::Value;
@@ -23,6 +24,16 @@ pub(crate) fn of_rows<'a>(
     let point = |row| Some((number(row, x)?, number(row, y)?));
     let points = rows.into_iter().filter_map(point);
     Curve::line(label, points.collect(), colour)
+}
+
+/// A curve for each solver, in its colour; those without points are left out.
+pub(crate) fn of_solvers(curve: impl Fn(SolverKind, RGBColor) -> Curve) -> Vec<Curve> {
+    let solvers = SolverKind::ALL.into_iter().zip([GREEN, ORANGE, BLUE]);
+    let mut curves: Vec<Curve> = solvers
+        .map(|(solver, colour)| curve(solver, colour))
+        .collect();
+    curves.retain(|curve| !curve.is_empty());
+    curves
 }
 
 /// Share of longer times over each time \[µs\], with one step for each bucket of the histogram.

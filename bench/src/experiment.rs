@@ -108,18 +108,24 @@ pub struct Experiment {
 }
 
 impl Experiment {
+    /// With one of [`SOLVERS`].
+    pub fn new(task: Task, solver: (SolverKind, bool), coordinates: Coordinates) -> Self {
+        let (solver, verbatim) = solver;
+        Self {
+            task,
+            solver,
+            verbatim,
+            coordinates,
+        }
+    }
+
     /// The circle only in bend vectors: it starts straight, where bend angles have no direction, and its twenty steps
     /// have many local minima in angles.
     pub fn all() -> Vec<Self> {
         let mut all = Vec::new();
         for task in Task::all() {
             for coordinates in [Coordinates::BendVector, Coordinates::BendAngles] {
-                all.extend(SOLVERS.map(|(solver, verbatim)| Self {
-                    task,
-                    solver,
-                    verbatim,
-                    coordinates,
-                }));
+                all.extend(SOLVERS.map(|solver| Self::new(task, solver, coordinates)));
             }
         }
         let is_circle = |one: &Self| matches!(one.task, Task::Circle { .. });

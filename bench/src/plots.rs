@@ -114,13 +114,8 @@ impl<'a> Drawn<'a> {
             } => format!("line, rates up to {most} rad/s"),
             Task::Circle { safe_distance_m } => format!("circle, D = {} mm", 1e3 * safe_distance_m),
         };
-        let find = |(solver, verbatim): (SolverKind, bool)| {
-            let expected = Experiment {
-                task,
-                solver,
-                verbatim,
-                coordinates: Coordinates::BendVector,
-            };
+        let find = |solver: (SolverKind, bool)| {
+            let expected = Experiment::new(task, solver, Coordinates::BendVector);
             let is_it = |outcome: &&Outcome| outcome.experiment == expected;
             let missing = || format!("no outcome of {task:?} with {}", expected.solver_name());
             outcomes.iter().find(is_it).with_context(missing)

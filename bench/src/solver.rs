@@ -14,7 +14,7 @@ use cdcr_controller::optimizer::Simd;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::chart::{BLUE, Curve, ORANGE, PURPLE, Panel, RGBColor, Scale};
+use crate::chart::{Curve, Panel, Scale, of_solvers};
 use crate::closed_loop::{End, PERIOD_S, Scene, timed_solve};
 use crate::dataset::Dataset;
 use crate::experiment::Task;
@@ -111,15 +111,13 @@ impl Benchmark for SolverOptions {
 }
 
 fn panel(cases: &[Value]) -> Panel {
-    let curve = |(solver, colour): (SolverKind, RGBColor)| {
+    let curves = of_solvers(|solver, colour| {
         let points = growth::series(cases, solver, growth::SECTION);
         Curve::line(solver.name(), points, colour)
-    };
-    let solvers = SolverKind::ALL.into_iter().zip([PURPLE, BLUE, ORANGE]);
-    let curves = solvers.map(curve).filter(|curve| !curve.is_empty());
+    });
     let title = "Median of a solve on the fastest path";
     let scale = Scale::Log { floor: 0.1 };
-    Panel::new(title, ["sections", "time [µs]"], scale, curves.collect())
+    Panel::new(title, ["sections", "time [µs]"], scale, curves)
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -161,22 +161,21 @@ fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
 }
 
 fn add_targets(dataset: &mut Dataset, cases: &Cases, period_us: f64) {
-    let (mut own, mut due, mut ours, mut theirs) = (0.0, 0, (0, 0), (0, 0));
+    let (mut all, mut both) = (Vec::new(), [Vec::new(), Vec::new()]);
     let is_ours = |key: &Key| (key.setup, key.subject) == (Setup::Realtime, Subject::Daemon);
     for (key, case) in cases.iter().filter(|(key, _)| is_ours(key)) {
-        let of_case = misses(&case.rounds);
-        own += case.sum("own_misses").unwrap_or(0.0);
-        due += of_case.1;
+        all.extend_from_slice(&case.rounds);
         // Only loads that were measured with both subjects.
         let subject = Subject::Bare;
         if let Some(bare) = cases.get(&Key { subject, ..*key }) {
-            let bare = misses(&bare.rounds);
-            ours = (ours.0 + of_case.0, ours.1 + of_case.1);
-            theirs = (theirs.0 + bare.0, theirs.1 + bare.1);
+            both[0].extend_from_slice(&case.rounds);
+            both[1].extend_from_slice(&bare.rounds);
         }
     }
+    let (own, due) = (each(&all, "own_misses").sum(), misses(&all).1);
     let minutes = format!("{:.1} min", due as f64 * period_us / 60e6);
     let own = (due > 0).then_some((own, Value::Null, minutes));
+    let [ours, theirs] = both.map(|rounds| misses(&rounds));
     let what = "misses with cause compute or fault, all loads";
     dataset.target([what, "0", ""], own, 0.0..=0.0);
     let ((our_misses, our_due), (their_misses, their_due)) = (ours, theirs);

@@ -64,7 +64,8 @@ impl LatencyOptions {
 
     fn launch(&self, link: &str, cores: &Cores, may_be_realtime: bool) -> Launch {
         let deceleration = format!("{:.1}", stops::DECELERATION_RAD_S2);
-        let launch = Launch::patient(self.config.clone())
+        let period_ms = self.period.map(|period| period.as_secs_f64() * 1e3);
+        Launch::patient(self.config.clone())
             .with("link.kind", link)
             // A stall is no sensor failure. The driver measures the target of its newest command.
             .with("link.measurement_timeout_ms", "10000.0")
@@ -72,11 +73,8 @@ impl LatencyOptions {
             .with("safety.measurement_frozen_rad", "1000.0")
             .with("safety.following_fault_rad", "1000.0")
             .with("motion.deceleration_rad_s2", deceleration)
-            .placed(cores, may_be_realtime);
-        match self.period {
-            Some(period) => launch.with("cycle.period_ms", period.as_secs_f64() * 1e3),
-            None => launch,
-        }
+            .with_some("cycle.period_ms", period_ms)
+            .placed(cores, may_be_realtime)
     }
 }
 

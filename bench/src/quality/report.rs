@@ -1,12 +1,11 @@
 //! Results of the runs as rows, plots and single numbers.
 
 use anyhow::Result;
-use cdcr_controller::nmpc::SolverKind;
 use serde_json::{Value, json};
 
 use super::course::Course;
 use super::restarts::{CONTENDERS, Contender, Field, STUCK_SHARE, arrives, excess_share, is_stuck};
-use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, RGBColor, Scale, of_rows};
+use crate::chart::{Curve, DARK, Panel, Scale, of_rows, of_solvers};
 use crate::dataset::{Dataset, by_rows, number, together};
 use crate::metric::median;
 use crate::study::Rounds;
@@ -109,12 +108,10 @@ fn panel(
         row["axis"] == "budget" && row["course"] == course.name() && !row[key].is_null()
     };
     let rows: Vec<&Value> = rows.iter().filter(is_it).collect();
-    let curve = |(solver, colour): (SolverKind, RGBColor)| {
+    let mut curves = of_solvers(|solver, colour| {
         let ours = rows.iter().filter(|row| row["solver"] == solver.name());
         of_rows(solver.name(), ours.copied(), "budget_us", key, colour)
-    };
-    let solvers = SolverKind::ALL.into_iter().zip([GREEN, ORANGE, BLUE]);
-    let mut curves: Vec<Curve> = solvers.map(curve).collect();
+    });
     if scale == Scale::LogAcross {
         let safe_mm = 1e3 * course.settings().safe_distance_m;
         let across = number(rows.first()?, "budget_us")?..number(rows.last()?, "budget_us")?;

@@ -47,10 +47,8 @@ pub(super) struct Variant {
 
 impl Variant {
     pub(super) fn new(course: Course, solver: SolverKind, varied: Varied) -> Self {
-        let mut settings = NmpcSettings {
-            solver,
-            ..course.settings()
-        };
+        let mut settings = course.settings();
+        settings.solver = solver;
         match varied {
             // The maximum of work, ended by the clock. With Gauss-Newton steps after it, the swarm is limited to
             // half of the budget.
@@ -154,12 +152,9 @@ impl Variant {
 
 /// Duration of an iteration of [`BUDGET_SWARM`] particles along a course, on this machine \[µs\].
 pub(super) fn iteration_us(course: Course) -> Result<f64> {
-    let scene = course.scene()?;
-    let with = |solver| NmpcSettings {
-        solver,
-        ..course.settings()
-    };
-    let (driving, mut timed) = (with(SolverKind::GaussNewton), with(SolverKind::Kpso));
+    let (scene, mut driving) = (course.scene()?, course.settings());
+    let mut timed = driving;
+    (driving.solver, timed.solver) = (SolverKind::GaussNewton, SolverKind::Kpso);
     (timed.swarm_size, timed.swarm_iterations) = (BUDGET_SWARM, TIMED_ITERATIONS);
     let (mut driver, mut swarm) = (scene.solver(driving)?, scene.solver(timed)?);
     let mut closed = scene.begin(driving)?;

@@ -191,16 +191,13 @@ impl Stage {
     }
 
     fn launch(&self, case: &Case, period_ms: f64) -> Launch {
-        let launch = Launch::patient(None)
+        Launch::patient(None)
             .placed(&self.cores, self.realtime)
             .with_period(period_ms)
             .with("robot.sections", case.robot())
             .with("controller.solver", case.solver.name())
-            .with("controller.horizon_steps", case.horizon_steps);
-        match self.spin_within_us(period_ms) {
-            Some(spin_us) => launch.with("realtime.spin_us", spin_us),
-            None => launch,
-        }
+            .with("controller.horizon_steps", case.horizon_steps)
+            .with_some("realtime.spin_us", self.spin_within_us(period_ms))
     }
 
     fn spin_within_us(&self, period_ms: f64) -> Option<f64> {

@@ -7,7 +7,7 @@ use cdcr_test_skip::{Need, skip};
 use cdcr_testbed::system::counts;
 use serde_json::Value;
 
-use crate::{is_sound, list, machine, number, program, stderr};
+use crate::{is_sound, list, machine, number, program, row, stderr};
 
 #[test]
 fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
@@ -31,11 +31,7 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     let first_ms = ms("first_release_ms");
     let least_ms = ms("ready_ms").min(ms("first_record_ms"));
     assert!(0.0 < first_ms && first_ms < least_ms, "{start}");
-    let figure = |key: &str| {
-        let mut rows = list(&document, "figures").iter();
-        let row = rows.find(|row| row["key"] == key);
-        number(row.unwrap(), "median")
-    };
+    let figure = |key: &str| number(row(&document, "figures", "key", key), "median");
     let parts = figure("own_mb") + figure("shared_mb") + figure("file_mb");
     assert!((figure("resident_mb") - parts).abs() < 1e-6);
     assert!(figure("peak_mb") >= figure("resident_mb"));
@@ -55,11 +51,7 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
         skip(Need::Kernel, "it counts no time of threads (schedstat)");
         return;
     }
-    let threads = list(&document, "threads");
-    let used = |name: &str| {
-        let thread = threads.iter().find(|thread| thread["name"] == name);
-        number(thread.unwrap(), "tracking_percent")
-    };
+    let used = |name| number(row(&document, "threads", "name", name), "tracking_percent");
     assert!(used("cdcr-cycle") > 0.0 && used("cdcr-exchange") > 0.0 && used("cdcrd") > 0.0);
 
     let sum = used("cdcr-cycle") + used("cdcr-exchange");

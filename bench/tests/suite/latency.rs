@@ -2,7 +2,7 @@
 
 use cdcr_bench::latency::declared;
 
-use crate::{is_sound, list, machine, number, printed_json, program};
+use crate::{is_sound, list, machine, number, printed_json, program, row};
 
 /// Two rounds with another period: each leg has its samples, and no effect precedes its cause.
 #[test]
@@ -16,7 +16,7 @@ fn every_way_is_measured_in_every_round() {
     let names: Vec<_> = legs.iter().filter_map(|row| row["leg"].as_str()).collect();
     let declared: Vec<_> = declared().legs.into_iter().map(|[leg, ..]| leg).collect();
     assert_eq!(names, declared);
-    let row = |leg: &str| legs.iter().find(|row| row["leg"] == leg).expect("its row");
+    let row = |leg| row(&json, "legs", "leg", leg);
     for (leg, least, most) in [
         ("reference.command", 20.0, f64::MAX),
         ("obstacle.grid", 20.0, f64::MAX),

@@ -111,6 +111,12 @@ fn list<'a>(document: &'a Value, key: &str) -> &'a [Value] {
     document[key].as_array().expect(key)
 }
 
+/// The row of a list whose `key` has this value.
+fn row<'a>(document: &'a Value, list_of: &str, key: &str, value: &str) -> &'a Value {
+    let row = list(document, list_of).iter().find(|row| row[key] == value);
+    row.unwrap_or_else(|| panic!("no {key} {value} in {list_of}"))
+}
+
 fn number(row: &Value, key: &str) -> f64 {
     let number = row[key].as_f64();
     number.unwrap_or_else(|| panic!("{key} of {row}"))

@@ -87,12 +87,7 @@ fn the_folder_holds_figures_a_page_and_tables() {
 fn whole(task: Task, solver: SolverKind) -> impl Fn(&str) -> f64 {
     let mut effort = QUICK;
     effort.cycles_max = u64::MAX;
-    let experiment = Experiment {
-        task,
-        solver,
-        verbatim: false,
-        coordinates: Coordinates::BendVector,
-    };
+    let experiment = Experiment::new(task, (solver, false), Coordinates::BendVector);
     let row = run(experiment, effort, || ()).expect("it runs").row;
     move |key| number(&row, key)
 }

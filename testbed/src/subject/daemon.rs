@@ -51,6 +51,15 @@ impl Launch {
         self
     }
 
+    /// Sets one more key where there is a value for it.
+    #[must_use]
+    pub fn with_some(self, key: &str, value: Option<impl Display>) -> Self {
+        match value {
+            Some(value) => self.with(key, value),
+            None => self,
+        }
+    }
+
     /// Sets the period \[ms\]. Gather lead and late-start limit keep their defaults unless the period is too short:
     /// the gather must fit between two cycles.
     #[must_use]
