@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x35e3ddd73773b9a7)
+#define CDCR_LAYOUT UINT64_C(0x35e3ded73773bb5a)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -204,7 +204,7 @@ typedef enum CdcrOutcome {
     CDCR_OUTCOME_IN_THE_FUTURE = 27, /* a time is in the future */
     CDCR_OUTCOME_POSE_DIFFERS = 28, /* the robot is measured far from where its last command left it */
     CDCR_OUTCOME_BEYOND_TURN = 29, /* a bend is larger than a full turn */
-    CDCR_OUTCOME_TIP_ELSEWHERE = 30 /* the tip is measured far from where the first bends place it */
+    CDCR_OUTCOME_TIP_ELSEWHERE = 30 /* the tip is measured far from where the bends place it */
 } CdcrOutcome;
 
 typedef enum CdcrReason {
@@ -230,7 +230,8 @@ typedef enum CdcrReason {
     CDCR_REASON_COMMON_MODE = 19, /* the cables of a section went slack, or one broke (safety.cable_common_m) */
     CDCR_REASON_STOPPED_BEFORE = 20, /* it was stopped or faulted before the daemon started; use cdcrctl reset */
     CDCR_REASON_POSE_DIFFERS = 21, /* the robot is measured far from where its last command left it */
-    CDCR_REASON_OBSTACLES_LOST = 22 /* the obstacles of the previous daemon are lost; add them again, then use cdcrctl reset */
+    CDCR_REASON_OBSTACLES_LOST = 22, /* the obstacles of the previous daemon are lost; add them again, then use cdcrctl reset */
+    CDCR_REASON_TIP_ELSEWHERE = 23 /* the tip is measured far from where the bends place it */
 } CdcrReason;
 
 typedef enum CdcrReferenceState {
@@ -795,7 +796,8 @@ typedef struct CdcrStatus {
     /* 2272: Measurements of the tip that were refused since the start, for whatever reason. */
     uint64_t tips_refused;
     /* 2280: Distance of the measured tip from where the newest refused first bends placed it [m], in whole
-     * millimetres; 0: none was refused for it. */
+     * millimetres; after them, from where the measured bends place it, where it is so far that a reset is refused;
+     * 0: nothing is refused for it. */
     double tip_contradiction_m;
     /* 2288: CdcrOutcome. Outcome of the newest of them; accepted: none was refused since a tip was accepted. */
     uint32_t tip_refused_by;
@@ -917,7 +919,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v13, 15616 bytes. */
+/* cdcr.Telemetry.v13, 15624 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -1113,10 +1115,13 @@ typedef struct CdcrTelemetry {
     uint32_t reference_too_far;
     /* 15612: CdcrTipCause: why the newest tip_measured_m was not used, also in the cycles until the next one. */
     uint32_t tip_cause;
+    /* 15616: Distance of the measured tip from where the measured bends place it [m], where it is so far that a
+     * reset is refused (the reason TipElsewhere); 0: it is not. */
+    double tip_contradiction_m;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 15616);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 15624);
 
-/* cdcr.Incident.v11, 15656 bytes. */
+/* cdcr.Incident.v12, 15664 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1130,6 +1135,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 15656);
+CDCR_ASSERT_SIZE(CdcrIncident, 15664);
 
 #endif

@@ -3,6 +3,10 @@ use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 const ACCEPT_POSE: &str = "Check where it is. If it was moved by hand, its motors were off or something held it, the measured pose may be right. Otherwise its encoders \
      have lost their zero: bring it to straight and set the zero (docs/drivers.md, Zero). Then accept the measured pose: cdcrctl reset --accept-pose.";
 
+const TIP_ELSEWHERE: &str = "The encoders or the tip sensor are wrong, and --accept-pose does not help: see where the robot is. Where its encoders have lost their zero, bring it to \
+     straight and set the zero (docs/drivers.md, Zero). Where the bends are right (cdcrctl status), end the tip sensor, or let the driver send no tips, for a second. \
+     Then cdcrctl reset, with --accept-pose where cdcrctl status asks for it, and start the sensor again after it was corrected.";
+
 /// Remedy for a refused message or request: one sentence.
 pub fn remedy(outcome: Outcome) -> &'static str {
     match outcome {
@@ -88,6 +92,9 @@ pub fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) -> &'stat
     if kind == RequestKind::Track && outcome == Outcome::NoLease {
         return "Feed one first, for example: cdcrctl ref spiral --track. A stop ends the feed before it.";
     }
+    if kind == RequestKind::Reset && outcome == Outcome::TipElsewhere {
+        return TIP_ELSEWHERE;
+    }
     if outcome != Outcome::WrongMode {
         return remedy(outcome);
     }
@@ -161,6 +168,7 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
             "Check the robot, and the zero of encoders that were started again, too (docs/drivers.md, Zero), then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::PoseDiffers => ACCEPT_POSE,
+        Reason::TipElsewhere => TIP_ELSEWHERE,
         Reason::ObstaclesLost => {
             "Their file is of another version of cdcrd, or another program wrote it: check the robot and what is in its way, add the obstacles again, then \
              cdcrctl reset."

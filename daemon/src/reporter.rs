@@ -239,6 +239,7 @@ impl Reporter {
             following_warning: !record.mode.is_latched()
                 && record.following.largest_rad() > record.policy.following.warning_rad,
             pose_differs: record.seen.pose_differs,
+            tip_contradiction_m: record.seen.tip_contradiction_m,
             tip_measured_ns: (record.tip_measurement).map_or(0, |timed| timed.measured_ns),
             refused_tips: inputs.refused_tips,
             driver_measures_tip_only: inputs.driver_measures_tip_only,

@@ -262,7 +262,7 @@ class Outcome(Code):
     BEYOND_TURN = 29
     """A bend is larger than a full turn."""
     TIP_ELSEWHERE = 30
-    """The tip is measured far from where the first bends place it."""
+    """The tip is measured far from where the bends place it."""
 
 
 class Reason(Code):
@@ -312,6 +312,8 @@ class Reason(Code):
     """The robot is measured far from where its last command left it."""
     OBSTACLES_LOST = 22
     """The obstacles of the previous daemon are lost; add them again, then use cdcrctl reset."""
+    TIP_ELSEWHERE = 23
+    """The tip is measured far from where the bends place it."""
 
 
 class ReferenceState(Code):

@@ -230,6 +230,8 @@ wire_enum! {
         PoseDiffers = 21: "the robot is measured far from where its last command left it",
         /// Another version of cdcrd, or another program, has written their file.
         ObstaclesLost = 22: "the obstacles of the previous daemon are lost; add them again, then use cdcrctl reset",
+        /// Refuses a reset, also one that accepts the measured pose; never the reason of a mode.
+        TipElsewhere = 23: "the tip is measured far from where the bends place it",
     }
 }
 
@@ -304,8 +306,9 @@ wire_enum! {
         PoseDiffers = 28: "the robot is measured far from where its last command left it",
         /// A first bend of a driver beyond 2π rad.
         BeyondTurn = 29: "a bend is larger than a full turn",
-        /// More than a ninth of the robot's length, or 0.1 m, when a tip sensor measures beside the first bends of a driver.
-        TipElsewhere = 30: "the tip is measured far from where the first bends place it",
+        /// More than a ninth of the robot's length, or 0.1 m, when a tip sensor measures beside the first bends of a driver, or in
+        /// a reset.
+        TipElsewhere = 30: "the tip is measured far from where the bends place it",
     }
 }
 

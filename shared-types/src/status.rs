@@ -221,7 +221,8 @@ message! {
         tip_measured_ns: u64,
         /// Measurements of the tip that were refused since the start, for whatever reason.
         tips_refused: u64,
-        /// Distance of the measured tip from where the newest refused first bends placed it \[m\], in whole millimetres; 0: none was refused for it.
+        /// Distance of the measured tip from where the newest refused first bends placed it \[m\], in whole millimetres; after them, from
+        /// where the measured bends place it, where it is so far that a reset is refused; 0: nothing is refused for it.
         tip_contradiction_m: f64,
         /// [`Outcome`] of the newest of them; accepted: none was refused since a tip was accepted.
         tip_refused_by: u32 [code Outcome],

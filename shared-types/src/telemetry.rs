@@ -315,5 +315,8 @@ message! {
         reference_too_far: u32 [yes],
         /// [`codes::TipCause`](crate::codes::TipCause): why the newest `tip_measured_m` was not used, also in the cycles until the next one.
         tip_cause: u32 [code TipCause],
+        /// Distance of the measured tip from where the measured bends place it \[m\], where it is so far that a reset is refused (the
+        /// reason `TipElsewhere`); 0: it is not.
+        tip_contradiction_m: f64,
     }
 }

@@ -132,6 +132,7 @@ impl Before {
             },
             too_far: record.reference_too_far != 0,
             measurement_rejected: record.measurement_rejected != 0,
+            tip_contradiction_m: record.tip_contradiction_m,
             pose_differs: record.pose_differs != 0,
             lease: match codes::LeaseState::try_from(record.lease_state) {
                 Ok(codes::LeaseState::Held) => LeaseState::Held,
@@ -256,6 +257,7 @@ reasons! {
     Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
     LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
     InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore, PoseDiffers, ObstaclesLost,
+    TipElsewhere,
 }
 
 #[cfg(test)]
@@ -307,6 +309,7 @@ mod tests {
         for kind in [plain, accepting] {
             assert!(!reset(kind, |_| ()));
             assert!(reset(kind, |record| record.measurement_rejected = 1));
+            assert!(reset(kind, |record| record.tip_contradiction_m = 0.12));
         }
         assert!(reset(plain, |record| record.pose_differs = 1));
         assert!(!reset(accepting, |record| record.pose_differs = 1));

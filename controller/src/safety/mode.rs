@@ -67,6 +67,8 @@ pub enum Reason {
     PoseDiffers,
     /// The obstacles known before the process was restarted are lost.
     ObstaclesLost,
+    /// The tip is measured far from where the measured bends place it: a reason to refuse a reset, not of a mode.
+    TipElsewhere,
 }
 
 /// The mode with its state.
@@ -166,6 +168,9 @@ pub enum Refusal {
     /// The robot is measured far from where its last command left it, and the request does not accept this.
     #[error("the robot is measured far from where its last command left it")]
     PoseDiffers,
+    /// The tip is measured far from where the measured bends place it, whether the request accepts the pose or not.
+    #[error("the tip is measured far from where the bends place it")]
+    TipElsewhere,
     /// The robot must wait, without a fault: [`Observation::wait`].
     #[error("the robot has to wait")]
     Waits,
@@ -190,7 +195,7 @@ pub enum LeaseState {
 }
 
 /// Inputs of the machine in one cycle.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Observation {
     /// Whether the configuration of the robot is known. The machine stays in `Starting` until it is.
     pub measured: bool,
@@ -214,6 +219,9 @@ pub struct Observation {
     pub fault: Option<Reason>,
     /// Whether the newest measurement was rejected: where the robot is measured is not known.
     pub measurement_rejected: bool,
+    /// Distance of the measured tip from where the measured bends place it (m), where it is so far that one of the two is wrong;
+    /// else 0.
+    pub tip_contradiction_m: f64,
     /// Whether the robot is measured far from where its last command left it.
     pub pose_differs: bool,
 }
@@ -226,8 +234,9 @@ impl Observation {
         }
         let misses = self.misses_overflow.then_some(Reason::DeadlineMisses);
         let rejected = self.measurement_rejected.then_some(Reason::MeasurementJump);
+        let tip = (self.tip_contradiction_m > 0.0).then_some(Reason::TipElsewhere);
         let pose = self.pose_differs.then_some(Reason::PoseDiffers);
-        self.fault.or(misses).or(rejected).or(pose)
+        (self.fault.or(misses).or(rejected)).or(tip).or(pose)
     }
 }
 
@@ -440,6 +449,8 @@ impl ModeMachine {
         match seen.reset_refused_by() {
             Some(Reason::PoseDiffers) if request == Request::ResetAcceptingPose => {}
             Some(Reason::PoseDiffers) => return Err(Refusal::PoseDiffers),
+            // Who accepts the pose has it from the same bends.
+            Some(Reason::TipElsewhere) => return Err(Refusal::TipElsewhere),
             Some(_) => return Err(Refusal::CauseStands),
             None => {}
         }

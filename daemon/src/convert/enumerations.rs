@@ -21,14 +21,14 @@ macro_rules! to_wire {
 
 to_wire! {
     /// A refusal of the mode machine.
-    pub refusal: Refusal => Outcome { WrongMode, NoLease, NoReference, TooFar, CauseStands, PoseDiffers, Waits, Overruled, Ending }
+    pub refusal: Refusal => Outcome { WrongMode, NoLease, NoReference, TooFar, CauseStands, PoseDiffers, TipElsewhere, Waits, Overruled, Ending }
     pub mode: Mode => Mode { Starting, Holding, Tracking, Homing, Stopped, Faulted }
     /// Reason of a mode.
     pub reason: Reason => Reason {
         Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
         LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
         InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore, PoseDiffers,
-        ObstaclesLost,
+        ObstaclesLost, TipElsewhere,
     }
     /// Part of a command that the driver executes.
     pub interface: Interface => Interface { Velocity, Position }

@@ -179,6 +179,7 @@ pub fn fill_telemetry(
         tip_state = measurement_state(record.tip_use).code(),
         tip_offset_m = record.tip_offset_m.into(),
         tip_margin_m = record.tip_margin_m,
+        tip_contradiction_m = record.seen.tip_contradiction_m,
         miss_limit = record.policy.miss_limit,
         plan_length = record.plan_length as u32,
         report = report(&record.report),

@@ -26,6 +26,7 @@ impl Cycle {
             wait: self.wait(inputs, reference),
             fault: self.fault(measurement),
             measurement_rejected: self.state.is_measurement_rejected(),
+            tip_contradiction_m: self.state.tip_watch.contradiction_m(),
             pose_differs: self.pose_in_doubt
                 || self.state.following().error().largest_rad() > Policy::POSE_DIFFERS_RAD,
         }

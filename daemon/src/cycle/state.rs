@@ -44,7 +44,7 @@ pub(super) struct RobotState {
     bend_limit: BendLimitWatch,
     pub(super) tip_watch: TipWatch,
     /// Last measured configuration; `None` if the measurement does not determine it.
-    measured: Option<Configuration>,
+    pub(super) measured: Option<Configuration>,
     last_measured_ns: u64,
     last_gather_ns: u64,
     silence: SilenceWatch,

@@ -1,11 +1,15 @@
 //! A tip measured beside bends or cables: which measurements are used, and why others are not.
 
-use cdcr_controller::estimator::{Measurement, TipRefusal};
+use cdcr_controller::estimator::{Measurement, TipRefusal, tip_offset_max_m};
 use cdcr_controller::safety::{MeasurementWatch, Plausibility, PlausibilityRules};
+use cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS;
 
 use super::silence::age_s;
 use super::state::RobotState;
 use crate::handover::{CycleInputs, MeasurementUse, TimedMeasurement, TipCause};
+
+/// Age of the newest measurement above which the sensor measures no more \[ns\].
+const SILENT_NS: u64 = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
 
 #[derive(Debug)]
 pub(super) struct TipWatch {
@@ -17,6 +21,8 @@ pub(super) struct TipWatch {
     wrong: Option<TipCause>,
     /// Why the newest measurement is not used; with the bits of the one before, why that one was not.
     unused: Option<TipCause>,
+    /// See [`Self::contradiction_m`].
+    contradiction_m: f64,
 }
 
 impl TipWatch {
@@ -27,12 +33,18 @@ impl TipWatch {
             sensors: 0,
             wrong: None,
             unused: None,
+            contradiction_m: 0.0,
         }
     }
 
     /// Why the newest measurement was not used.
     pub(super) fn unused(&self) -> Option<TipCause> {
         self.unused
+    }
+
+    /// Distance of the measured tip from where the measured bends place it \[m\], where the body cannot be in both places; else 0.
+    pub(super) fn contradiction_m(&self) -> f64 {
+        self.contradiction_m
     }
 
     pub(super) fn is_wrong(&self) -> bool {
@@ -64,11 +76,17 @@ impl RobotState {
         let Some(timed) = measurement else {
             return MeasurementUse::None;
         };
+        let tip_use = self.use_tip(&timed, release_ns);
+        self.compare_tip(&timed, release_ns);
+        tip_use
+    }
+
+    fn use_tip(&mut self, timed: &TimedMeasurement, release_ns: u64) -> MeasurementUse {
         if timed.measured_ns <= self.tip_watch.last_ns {
             return MeasurementUse::Repeated;
         }
         self.tip_watch.last_ns = timed.measured_ns;
-        match self.take_tip(&timed, release_ns) {
+        match self.take_tip(timed, release_ns) {
             Ok(()) => {
                 self.tip_watch.unused = None;
                 MeasurementUse::Used
@@ -119,6 +137,28 @@ impl RobotState {
                 TipRefusal::WasFar => Some(TipCause::WasFar),
                 TipRefusal::Repeats => None,
             })
+    }
+
+    /// Compares the newest tip with the measured bends, also one with the bits of the one before: a camera of coarse resolution
+    /// repeats them at rest, where encoders may lose their zero. A sensor that is wrong by itself, or measures no more, contradicts nothing.
+    fn compare_tip(&mut self, tip: &TimedMeasurement, release_ns: u64) {
+        let measures = release_ns.saturating_sub(tip.measured_ns) <= SILENT_NS;
+        if measures && self.tip_watch.unused == Some(TipCause::Jumps) {
+            // A stray one.
+            return;
+        }
+        let trusted = Some(tip.measurement).filter(|_| measures && !self.tip_watch.is_wrong());
+        self.tip_watch.contradiction_m = match (trusted, &self.measured) {
+            (Some(Measurement::TipPosition(tip_m)), Some(bends)) => {
+                let (reach_m, place_m) = (self.robot.reach_m(), self.robot.tip_position(bends));
+                let away_m = (tip_m - place_m).norm();
+                // No body reaches half as far again as its model: there the sensor is wrong.
+                let is_place = tip_m.norm() < 1.5 * reach_m;
+                let is_far = is_place && away_m > tip_offset_max_m(reach_m);
+                if is_far { away_m } else { 0.0 }
+            }
+            _ => 0.0,
+        };
     }
 
     /// Assumes the tip at the place given by the bends if its measurement froze or jumped permanently.

@@ -92,6 +92,8 @@ pub struct Summary {
     pub driver_measures_tip_only: bool,
     /// The newest tip measured beside the bends, if it was rejected.
     pub tip_rejected: Option<TipRejection>,
+    /// Distance of the measured tip from where the measured bends place it \[m\], where it refuses a reset; else 0.
+    pub tip_contradiction_m: f64,
     /// Where the cycle that began the present fault saw its cause.
     pub fault_place: Option<FaultPlace>,
     /// Events that no record could hold.

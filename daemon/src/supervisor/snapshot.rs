@@ -38,7 +38,8 @@ pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
     status.driver_measures_tip_only = summary.driver_measures_tip_only.into();
     status.tip_cause = cause.code();
     status.tips_refused = summary.refused_tips.count;
-    status.tip_contradiction_m = summary.refused_tips.contradiction_m;
+    let refused_m = summary.refused_tips.contradiction_m;
+    status.tip_contradiction_m = refused_m.max(summary.tip_contradiction_m);
     status.tip_refused_by = match summary.refused_tips {
         refused if refused.is_over => Outcome::Accepted.code(),
         refused => refused.newest.code(),

@@ -137,8 +137,8 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
     }
     if status.reset_refused_by != Reason::Start.code() {
         let cause = Reason::text_of(status.reset_refused_by);
-        let pose = pose_difference(status);
-        writeln!(out, "reset       is refused now: {cause}{pose}")?;
+        let (pose, tip) = (pose_difference(status), tip_distance(status));
+        writeln!(out, "reset       is refused now: {cause}{pose}{tip}")?;
         let reason = Reason::try_from(status.reset_refused_by);
         if let Some(reason) = reason.ok().filter(|reason| reason.code() != status.reason) {
             writeln!(out, "            {}", reason_remedy(reason))?;
@@ -176,6 +176,14 @@ fn pose_difference(status: &Status) -> PoseDifference {
         return PoseDifference::default();
     }
     PoseDifference::of_errors(&status.following_error_rad)
+}
+
+/// Distance of the tip from its bends, where it refuses a reset.
+pub(crate) fn tip_distance(status: &Status) -> String {
+    if status.reset_refused_by != Reason::TipElsewhere.code() {
+        return String::new();
+    }
+    format!(": {:.0} mm away", 1e3 * status.tip_contradiction_m)
 }
 
 /// The largest following error of a section (rad).

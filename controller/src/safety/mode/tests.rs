@@ -159,6 +159,17 @@ fn latched_modes_stay_until_reset_and_reset_waits_for_the_cause() {
         // The pose alone is accepted, no fault.
         let refused = asked(mode, accepting, elsewhere(Some(Reason::LimitBroken)));
         assert_eq!(refused, Err(Refusal::CauseStands));
+        // It is the pose of the same bends that the tip contradicts.
+        let contradicted = Observation {
+            tip_contradiction_m: 0.12,
+            ..elsewhere(None)
+        };
+        for request in [Request::Reset, accepting] {
+            let refused = asked(mode, request, contradicted);
+            assert_eq!(refused, Err(Refusal::TipElsewhere));
+        }
+        let reason = contradicted.reset_refused_by();
+        assert_eq!(reason, Some(Reason::TipElsewhere));
         // Nobody knows what a rejected measurement would have shown.
         let blind = Observation {
             measurement_rejected: true,

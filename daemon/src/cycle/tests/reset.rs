@@ -174,7 +174,14 @@ fn encoders_at_rest_are_not_frozen_on_the_way_to_the_robot() {
 /// Outcome of a reset of a robot that rests since its driver fell silent in a motion, and is measured `error_rad` elsewhere,
 /// a quarter of a minute later.
 fn reset_elsewhere(interface: Interface, error_rad: f64) -> (Trial, Result<(), Refusal>) {
+    let mut trial = stopped_elsewhere(interface, error_rad, false);
+    let outcome = trial.ask(Request::Reset).answers[0].unwrap().outcome;
+    (trial, outcome)
+}
+
+fn stopped_elsewhere(interface: Interface, error_rad: f64, measures_tip: bool) -> Trial {
     let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), DIRECT);
+    trial.measures_tip = measures_tip;
     trial.turns(3);
     trial.begin_tracking();
     trial.turns(400);
@@ -189,8 +196,7 @@ fn reset_elsewhere(interface: Interface, error_rad: f64) -> (Trial, Result<(), R
         trial.turn();
     }
     trial.turns(3000);
-    let outcome = trial.ask(Request::Reset).answers[0].unwrap().outcome;
-    (trial, outcome)
+    trial
 }
 
 fn outcome(trial: &mut Trial, request: Request) -> Result<(), Refusal> {
@@ -294,5 +300,54 @@ fn resets_move_no_robot_of_which_the_tip_alone_is_measured() {
         let moved_m = (trial.tip_m - tip_m).norm();
         println!("{moved_m} m");
         assert!(moved_m < 1e-3, "{moved_m}");
+    }
+}
+
+/// Encoders that lost their zero are not believed where a tip sensor measures the tip elsewhere: not with its bits unchanged at rest,
+/// and not by a person who accepts the pose.
+#[test]
+fn a_pose_that_a_live_tip_contradicts_is_accepted_by_no_reset() {
+    for interface in [Interface::Velocity, Interface::Position] {
+        let stopped = |error_rad| stopped_elsewhere(interface, error_rad, true);
+        let mut trial = stopped(0.35);
+        for is_frozen in [false, true] {
+            trial.frozen_tip_m = is_frozen.then(|| trial.plant.tip_m());
+            trial.turns(3);
+            for request in [Request::Reset, Request::ResetAcceptingPose] {
+                let refused = outcome(&mut trial, request);
+                assert_eq!(refused, Err(Refusal::TipElsewhere), "{interface:?}");
+            }
+            let record = trial.last();
+            let refused_by = record.seen.reset_refused_by();
+            assert_eq!(refused_by, Some(Reason::TipElsewhere));
+            assert!(record.seen.tip_contradiction_m > 0.1 && record.mode.is_latched());
+        }
+        // The zero is found again.
+        trial.cable_error_m = [0.0; CABLES_MAX];
+        trial.turns(10);
+        assert_eq!(outcome(&mut trial, Request::Reset), Ok(()));
+
+        // A sensor that ended, and one that measures where no body is, contradict nothing.
+        let mut ended = stopped(0.35);
+        ended.measures_tip = false;
+        ended.turns(150);
+        let refused = outcome(&mut ended, Request::ResetAcceptingPose);
+        assert_eq!(refused, Err(Refusal::TipElsewhere), "a pause");
+        ended.turns(100);
+        let mut nowhere = stopped(0.35);
+        nowhere.tip_error_m.x = 2.0;
+        nowhere.turns(30);
+        for trial in [&mut ended, &mut nowhere] {
+            let refused = outcome(trial, Request::Reset);
+            assert_eq!(refused, Err(Refusal::PoseDiffers), "{interface:?}");
+            let accepted = outcome(trial, Request::ResetAcceptingPose);
+            assert_eq!(accepted, Ok(()), "{interface:?}");
+        }
+
+        // A stray tip is none, either.
+        let mut stray = stopped(0.0);
+        stray.tip_error_m.x = 0.3;
+        stray.turn();
+        assert_eq!(outcome(&mut stray, Request::Reset), Ok(()));
     }
 }

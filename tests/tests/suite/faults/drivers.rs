@@ -1,10 +1,16 @@
 //! Faults of drivers: a killed driver, and two at once.
 
-use cdcr_client::{CommandRefusal, Connection};
+use std::time::Duration;
+
+use cdcr_client::model::robot_of;
+use cdcr_client::{CommandRefusal, Connection, monotonic_ns};
+use cdcr_controller::robot::Configuration;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{ask_for, refused, reset_here, until_undisturbed, wait_status, wait_until};
+use cdcr_tests::{
+    Daemon, TIMEOUT, ask_for, refused, reset_here, until_undisturbed, wait_status, wait_until,
+};
 use rustix::process::Signal;
 
 use super::measurement::{SENSED_RAD, assert_lost, daemon, go_home, state};
@@ -142,6 +148,55 @@ fn a_driver_that_lost_its_zero_is_not_believed_by_a_reset() {
         ask_for(&connection, RequestKind::Reset);
         Some(())
     });
+}
+
+/// A camera that goes on measuring the tip shows that the zero was lost; nobody can accept the pose before it ends.
+#[test]
+fn a_zero_that_a_tip_sensor_contradicts_is_accepted_by_no_reset() {
+    let separate =
+        "[link]\nkind = \"driver\"\ntip_sensor = \"separate\"\n[cycle]\nmiss_limit = 1000000\n";
+    let daemon = Daemon::start(separate);
+    let (connection, beside, place) = (daemon.connect(), daemon.connect(), daemon.place());
+    let robot = robot_of(&connection.status(TIMEOUT).unwrap().robot).unwrap();
+    let mut bends = vec![0.0; robot.coordinate_count()];
+    bends[0] = 1.0;
+    let tip_m = robot.tip_position(&Configuration::from_slice(&bends).unwrap());
+    let sensor = beside.tip_sensor().unwrap();
+    let sense = || {
+        sensor.send(monotonic_ns(), tip_m.into()).unwrap();
+        std::thread::sleep(Duration::from_millis(5));
+    };
+    let refused_by = |reason: Reason| {
+        let status = connection.status(TIMEOUT).unwrap();
+        status.reset_refused_by == reason.code()
+    };
+    let driver = DriverProcess::start_at(place, 1.0);
+    wait_until("holding", || {
+        sense();
+        connection.status(TIMEOUT).unwrap().mode == Mode::Holding.code()
+    });
+    driver.signal(Signal::KILL);
+    drop(driver);
+    wait_until("lost", || {
+        sense();
+        refused_by(Reason::MeasurementLost)
+    });
+    let _driver = DriverProcess::start_at(place, 0.0);
+    wait_until("contradicted", || {
+        sense();
+        refused_by(Reason::TipElsewhere)
+    });
+    let elsewhere = "the tip is measured far from where the bends place it";
+    let remedy = "end the tip sensor, or let the driver send no tips";
+    for line in ["cdcrctl reset", "cdcrctl reset --accept-pose"] {
+        sense();
+        place.checked(line, 1, &[elsewhere, remedy]);
+    }
+    sense();
+    place.checked("cdcrctl status", 0, &["mm away", remedy]);
+    // The sensor has ended.
+    wait_until("its second is over", || refused_by(Reason::PoseDiffers));
+    place.checked("cdcrctl reset --accept-pose", 0, &["accepted"]);
 }
 
 /// The daemon is started again, too: the next one does not know where the last command led, and asks all the same.

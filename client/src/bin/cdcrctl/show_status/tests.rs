@@ -156,6 +156,10 @@ fn a_pose_that_a_reset_has_to_accept_is_shown_with_section_and_distance() {
     assert_eq!(line(&status), start);
     status.following_error_rad[..2].copy_from_slice(&[0.3, 0.834]);
     assert_eq!(line(&status), format!("{start}: section 2 by 0.83 rad"));
+    (status.reset_refused_by, status.tip_contradiction_m) = (Reason::TipElsewhere.code(), 0.1234);
+    let cause = Reason::TipElsewhere.text();
+    let start = format!("reset       is refused now: {cause}");
+    assert_eq!(line(&status), format!("{start}: 123 mm away"));
 }
 
 #[test]
