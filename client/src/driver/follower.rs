@@ -1,11 +1,9 @@
 use std::ops::Range;
 
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode};
-use cdcr_shared_types::limits::COORDINATES_MAX;
 use cdcr_shared_types::{Command, Measurement, RobotDescription};
 
 use super::{CommandRefusal, CommandedPosition, CommandedRates, bounds};
-use crate::model::robot_of;
 
 /// Rates and positions that a driver applies at any time, from the received commands. Rates expire, positions
 /// do not overshoot, and inadmissible commands are refused.
@@ -145,7 +143,9 @@ impl CommandFollower {
         }
         self.rested = self.rest(now_ns);
         // Bends are measured on the robot, beside where its loaded motors stand: there is no move.
-        let begin = begin.or_else(|| self.measured_position()).unwrap_or(end);
+        let begin = begin
+            .or_else(|| self.with_measured_cables(&end))
+            .unwrap_or(end);
         // Late commands must not make up for their delay by a jump.
         let shortest_s = bounds::shortest_s(&self.robot, &begin, &end) - ROUNDING_S;
         let pace = self.pace(command, shortest_s, now_ns);
@@ -169,19 +169,15 @@ impl CommandFollower {
         self.interface == Interface::Position && self.present.is_none() && rests(command)
     }
 
-    /// Where the motors stand, if the measurement is one of the cables.
-    fn measured_position(&self) -> Option<CommandedPosition> {
+    /// The first position `end` with the cables where they are measured; `None` if they are not.
+    fn with_measured_cables(&self, end: &CommandedPosition) -> Option<CommandedPosition> {
         let of_cables = MeasurementKind::CableLengths.code();
         let measured = self
             .measured
             .filter(|measured| measured.kind == of_cables)?;
-        let robot = robot_of(&self.robot).ok()?;
-        let bends = robot.bend_from_cable_lengths(&measured.cable_length_m);
-        let mut bend_rad = [0.0; COORDINATES_MAX];
-        bend_rad[..bends.as_slice().len()].copy_from_slice(bends.as_slice());
         Some(CommandedPosition {
-            bend_rad,
             cable_length_m: measured.cable_length_m,
+            ..*end
         })
     }
 
@@ -356,8 +352,8 @@ impl CommandFollower {
 
     /// Commanded position at `now_ns`: on a straight line from the position at which the command was taken to
     /// its target at `target_ns`, then constant. `None` before the first command, and until the reset of a robot that is
-    /// Stopped or Faulted then: the motors hold. Where the driver measures cables, the first command leads from there to
-    /// its position in a second. For a driver that obeys [`Interface::Position`].
+    /// Stopped or Faulted then: the motors hold. Where the driver measures cables, their lengths lead from there to the
+    /// first position in a second. For a driver that obeys [`Interface::Position`].
     ///
     /// The position never overshoots the target and never exceeds the robot's largest rates, so it may arrive
     /// later, after lost or late commands. It is constant from `valid_until_ns` on. Another daemon does not move
