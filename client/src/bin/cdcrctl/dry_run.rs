@@ -24,6 +24,7 @@ use cdcr_shared_types::codes::{self, Interface};
 use nalgebra::Vector3;
 
 use crate::bar::Bar;
+use crate::bend_limit::BendShare;
 use crate::interrupt::Interrupt;
 use held_back::HeldBack;
 
@@ -77,6 +78,7 @@ struct Motion {
     rate_share: f64,
     acceleration_rad_s2: f64,
     bend_rad: f64,
+    bend_share: BendShare,
     stroke_m: f64,
     /// In the newest period.
     held_back: Option<HeldBack>,
@@ -260,6 +262,7 @@ impl Motion {
         rate_share: 0.0,
         acceleration_rad_s2: 0.0,
         bend_rad: 0.0,
+        bend_share: BendShare::NONE,
         stroke_m: 0.0,
         held_back: None,
         clearance_m: f64::INFINITY,
@@ -289,6 +292,8 @@ impl Motion {
         for j in 0..closed.robot().section_count() {
             self.bend_rad = self.bend_rad.max(closed.configuration().bend_rad(j));
         }
+        let bend_share = BendShare::of(closed.robot(), closed.configuration());
+        self.bend_share = self.bend_share.larger(bend_share);
         let strokes_m = closed.robot().cable_strokes(closed.configuration());
         let largest_m = strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()));
         self.stroke_m = self.stroke_m.max(largest_m);
@@ -464,6 +469,9 @@ impl fmt::Display for Demands {
             &format!("mean {mean:.3}, max {max:.3}, final {end:.3} mm"),
             "",
         )?;
+        if let Some(near) = along.bend_share.warning() {
+            writeln!(f, "  warning: {near}")?;
+        }
         if self.distance_m > JOINED_M {
             writeln!(f, "{NO_APPROACH}")?;
         }

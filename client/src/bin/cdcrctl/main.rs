@@ -11,6 +11,7 @@ mod tell;
 mod args;
 mod backbone;
 mod bar;
+mod bend_limit;
 mod calibrate;
 mod demo;
 mod dry_run;

@@ -7,6 +7,7 @@ use cdcr_controller::robot::{Configuration, Jacobian, Robot};
 use cdcr_shared_types::Telemetry;
 use nalgebra::{Matrix3, Vector3};
 
+use crate::bend_limit::BendShare;
 use crate::dry_run::{away, robot_and_pose};
 
 /// Maximum number of checked points, evenly spaced along the reference.
@@ -41,9 +42,10 @@ pub(crate) fn check(
         );
         if left_m > allowed_m {
             bail!(
-                "not reachable: at {time_s:.2} s {}, the first point that is missed by more than {} mm (--max-error); nothing moved",
+                "not reachable: at {time_s:.2} s {}, the first point that is missed by more than {} mm (--max-error){}; nothing moved",
                 away(left_m, point_m),
-                1e3 * allowed_m
+                1e3 * allowed_m,
+                limit(&robot, &found)
             );
         }
         shape = found;
@@ -65,11 +67,21 @@ pub(crate) fn check_point(
             "not reachable: the point is {away_m:.3} m from the base, and the robot is {reach_m:.3} m long; nothing moved"
         );
     }
-    let (_, left_m) = nearest(&robot, &shape, &modelled_m, allowed_m);
+    let (found, left_m) = nearest(&robot, &shape, &modelled_m, allowed_m);
     if left_m > allowed_m {
-        bail!("not reachable: {}; nothing moved", away(left_m, point_m));
+        bail!(
+            "not reachable: {}{}; nothing moved",
+            away(left_m, point_m),
+            limit(&robot, &found)
+        );
     }
     Ok(())
+}
+
+/// Names the bend limit that keeps the tip from getting nearer than in the configuration `found`.
+fn limit(robot: &Robot, found: &Configuration) -> String {
+    let bend = BendShare::of(robot, found).at_limit();
+    bend.map_or_else(String::new, |bend| format!(": {bend}"))
 }
 
 /// A configuration with its tip near the point, and the distance \[m\]: the first within `cutoff_m`,
@@ -188,5 +200,22 @@ mod tests {
         let point_m = Vector3::new(0.0, 0.0, robot.reach_m() + 0.05);
         let (_, left_m) = nearest(&robot, &straight, &point_m, 1e-3);
         assert!((left_m - 0.05).abs() < 1e-3, "{left_m}");
+    }
+
+    #[test]
+    fn the_bend_limit_that_keeps_a_point_away_is_named() {
+        let mut parameters = RobotParameters::paper(2);
+        parameters.sections[1].bend_max_rad = 0.2;
+        parameters.sections[0].bend_max_rad = 0.2;
+        let robot = Robot::new(&parameters).expect("a robot");
+        let straight = Configuration::straight(2);
+        let point_m = Vector3::new(0.6 * robot.reach_m(), 0.0, 0.5 * robot.reach_m());
+        let (found, left_m) = nearest(&robot, &straight, &point_m, 1e-3);
+        let text = limit(&robot, &found);
+        assert!(
+            left_m > 0.1 && text.contains("bend_max_rad = 0.2"),
+            "{text}"
+        );
+        assert_eq!(limit(&robot, &straight), "");
     }
 }

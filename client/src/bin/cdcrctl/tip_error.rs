@@ -5,6 +5,8 @@ use anyhow::{Context, bail};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, ReferenceState};
 
+use crate::bend_limit::BendShare;
+
 /// Distance between tip and reference while the robot tracked. The approach is counted separately.
 #[derive(Debug, Default)]
 pub(crate) struct TipError {
@@ -22,6 +24,8 @@ pub(crate) struct TipError {
     sum_m: f64,
     max_m: f64,
     final_m: f64,
+    /// The section that was at its bend limit in the last cycle.
+    at_limit: Option<BendShare>,
     /// The tip has been at its reference, and no obstacle was known since.
     arrived: bool,
     /// The largest estimated error after an arrival.
@@ -154,6 +158,7 @@ impl TipError {
             self.sum_m += record.position_error_m;
             self.max_m = self.max_m.max(record.position_error_m);
             self.final_m = record.position_error_m;
+            self.at_limit = BendShare::at_limit_of(record);
             self.take_farthest(record);
             self.measured.take(record);
         }
@@ -243,8 +248,11 @@ impl TipError {
         if last_m > ENDED_OFF_M {
             let [last, limit] = [last_m, ENDED_OFF_M].map(|m| 1e3 * m);
             bail!(
-                "the tip was {last:.3} mm from its reference at the end, more than {limit} mm: limits or obstacles held it back, or it began too \
-                 far away; --max-error allows another error"
+                "the tip was {last:.3} mm from its reference at the end, more than {limit} mm: {}; --max-error allows another error",
+                self.at_limit.map_or_else(
+                    || "limits or obstacles held it back, or it began too far away".to_owned(),
+                    |bend| bend.to_string()
+                )
             );
         }
         let Farthest {

@@ -4,6 +4,8 @@ use std::fmt;
 
 use cdcr_controller::closed_loop::ClosedLoop;
 
+use crate::bend_limit::BendShare;
+
 /// A cable this near to its largest stroke, as a share of it, is held back by it.
 const AT_LIMIT: f64 = 1e-3;
 
@@ -12,6 +14,8 @@ const AT_LIMIT: f64 = 1e-3;
 pub(super) enum HeldBack {
     /// A cable is at its largest stroke.
     Stroke { max_m: f64 },
+    /// A section is at its largest bend.
+    Bend(BendShare),
     /// The end of a section would be too fast.
     TipSpeed { max_m_s: f64 },
 }
@@ -27,6 +31,9 @@ impl HeldBack {
         if stroke_m > (1.0 - AT_LIMIT) * max_m {
             return Some(Self::Stroke { max_m });
         }
+        if let Some(bend) = BendShare::of(robot, closed.configuration()).at_limit() {
+            return Some(Self::Bend(bend));
+        }
         let max_m_s = robot.tip_speed_max_m_s();
         let max_m_s = max_m_s.filter(|_| closed.command().limits_hit.tip_speed)?;
         Some(Self::TipSpeed { max_m_s })
@@ -37,6 +44,9 @@ impl HeldBack {
         match self {
             Self::Stroke { .. } => {
                 "use a smaller reference, or correct a limit that is not the robot's"
+            }
+            Self::Bend(_) => {
+                "begin in another shape (cdcrctl home), use a smaller reference, or correct a limit that is not the robot's"
             }
             Self::TipSpeed { .. } => "use a lower one, or raise the limit",
         }
@@ -52,6 +62,7 @@ impl fmt::Display for HeldBack {
                     "a cable is at its limit, robot.cable_stroke_max_m = {max_m}"
                 )
             }
+            Self::Bend(bend) => bend.fmt(f),
             Self::TipSpeed { max_m_s } => {
                 write!(
                     f,

@@ -100,6 +100,37 @@ fn a_cable_at_its_limit_is_not_called_too_fast() {
 }
 
 #[test]
+fn a_bend_at_its_limit_is_named_and_one_near_it_warned_of() {
+    let mut record = two_sections();
+    let file = reference("t_s,x_m,y_m,z_m\n0,0.05,0,0.59\n4,0.3,0,0.45\n");
+    let mut at = |bend_max_rad: f64| {
+        for section in &mut record.robot.section[..2] {
+            section.bend_max_rad = bend_max_rad;
+        }
+        let settings = NmpcSettings::default();
+        simulate(&record, settings, &file, &FeedOptions::default()).unwrap()
+    };
+    let far = at(2.5);
+    assert!(
+        far.check(1e-3).is_ok() && !far.to_string().contains("limit"),
+        "{far}"
+    );
+    let near = at(1.03 * far.bend_and_rate().0);
+    assert!(near.check(1e-3).is_ok(), "{near}");
+    let text = near.to_string();
+    assert!(text.contains("% of its limit, robot.sections["), "{text}");
+    let beyond = at(0.5);
+    for error in [beyond.check(1e-3), beyond.check_end(1e-3)] {
+        let text = error.unwrap_err().to_string();
+        assert!(
+            text.contains("is at its bend limit, robot.sections["),
+            "{text}"
+        );
+        assert!(text.contains("bend_max_rad = 0.5"), "{text}");
+    }
+}
+
+#[test]
 fn rows_seconds_apart_are_asked_about() {
     let error = |rows: &str| {
         check_duration(&reference(rows), 1000.0)
