@@ -1,6 +1,6 @@
 //! Valid configurations that are probably unintended.
 
-use cdcr_controller::nmpc::RateWeight;
+use cdcr_controller::nmpc::{RateWeight, rate_weight_warning, safe_distance_warning};
 use cdcr_controller::robot::SectionParameters;
 
 use crate::config::{Config, Interface, LinkKind, REST_MAX_S, TipSensor, ns, numbers};
@@ -8,6 +8,10 @@ use crate::core_budget::{CoreBudget, Costs};
 
 /// Largest stroke of a cable that is taken to be meant \[m\].
 const STROKE_M_MAX: f64 = 2.0;
+/// Largest play that is taken to be meant, as a share of a section's stroke.
+const PLAY_SHARE_MAX: f64 = 0.1;
+/// Smallest speed limit of a cable that is taken to be meant, as a share of what the largest rates need.
+const CABLE_SPEED_SHARE_MIN: f64 = 0.02;
 /// Longest validity of a command that is taken to be meant \[ms\].
 const VALID_MS_MAX: f64 = 1000.0;
 /// Motion at a usual speed, 0.25 m/s, is 25 mm in this time \[ms\].
@@ -69,11 +73,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
         (link.kind == LinkKind::Simulated && link.tip_sensor == TipSensor::Separate).then(|| {
             "link.tip_sensor = \"separate\" has no effect: the simulated robot accepts no measurements".to_owned()
         }),
-        (!link.is_ideal() && config.robot.sections.len() > 1 && controller.rate_weight == RateWeight::Of(0.0)).then(|| {
-            "controller.rate_weight = 0: sensor noise makes the robot drift around its tip; set \"auto\", or remove \
-             the key"
-                .to_owned()
-        }),
+        of_rate_weight(config),
         source_timeout(config),
         (reference.lease_ms < period_ms).then(|| {
             format!(
@@ -89,12 +89,8 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
                 safety.clearance_fault_m, controller.safe_distance_m
             )
         }),
-        (controller.safe_distance_m > length_m).then(|| {
-            format!(
-                "controller.safe_distance_m = {} is longer than the robot of {length_m:.3} m: an obstacle blocks every motion",
-                controller.safe_distance_m
-            )
-        }),
+        safe_distance_warning(controller.safe_distance_m, length_m)
+            .map(|warning| format!("controller.{warning}")),
         cut(config),
     ];
     let warnings = warnings.into_iter().chain(tip_speed(config));
@@ -124,7 +120,30 @@ fn of_units(config: &Config) -> Vec<String> {
     let is_short = |ms: f64| ms > 0.0 && ms < 0.5_f64.min(0.1 * config.cycle.period_ms);
     let full_m = config.robot.full_stroke_m();
     let stroke_m = config.robot.cable_stroke_max_m;
+    let sections = config.robot.sections.iter();
+    let bends_m = sections.map(|section| section.cable_radius_m * section.bend_max_rad);
+    let bend_m = bends_m.fold(f64::INFINITY, f64::min);
+    // Upper bound: all components at their largest rates, in the direction of one cable.
+    let sections = config.robot.sections.iter();
+    let speeds_m_s = sections.map(|section| section.cable_radius_m * section.rate_max_rad_s);
+    let fastest_m_s = core::f64::consts::SQRT_2 * speeds_m_s.sum::<f64>();
+    let cable_m_s = config.robot.cable_speed_max_m_s;
     [
+        (
+            actuator.play_m > PLAY_SHARE_MAX * bend_m,
+            format!(
+                "actuator.play_m = {}: the cables of a section move by {bend_m:.4} m at its full bend: in another unit? A robot swings where this \
+                 is more than its play (docs/robustness.md)",
+                actuator.play_m
+            ),
+        ),
+        (
+            cable_m_s < CABLE_SPEED_SHARE_MIN * fastest_m_s,
+            format!(
+                "robot.cable_speed_max_m_s = {cable_m_s}: the rates of this robot need up to {fastest_m_s:.3} m/s, and all are scaled down to it: in \
+                 another unit?"
+            ),
+        ),
         (
             is_short(actuator.delay_ms),
             format!("actuator.delay_ms = {}: in seconds?", actuator.delay_ms),
@@ -273,6 +292,17 @@ fn tip_speed(config: &Config) -> [Option<String>; 3] {
             )
         }),
     ]
+}
+
+fn of_rate_weight(config: &Config) -> Option<String> {
+    let RateWeight::Of(weight) = config.controller.rate_weight else {
+        return None;
+    };
+    let sections = config.robot.sections.len();
+    let warning = rate_weight_warning(weight, sections, config.link.is_ideal())?;
+    Some(format!(
+        "controller.{warning}; set \"auto\", or remove the key"
+    ))
 }
 
 /// A probably unintended timeout of the obstacle sources.

@@ -43,12 +43,14 @@ mod reachable;
 mod report;
 mod settings;
 mod solver;
+mod unintended;
 mod ways;
 
 pub use crate::reference::HORIZON_STEPS_MAX;
 pub use horizon::Horizon;
 pub use report::{Constraint, SolveReport, SolveStatus};
 pub use settings::{Coordinates, NmpcSettings, RateWeight, SettingsError, SolverKind, ranges};
+pub use unintended::{rate_weight_warning, safe_distance_warning};
 
 use crate::optimizer::{Budget, Simd};
 use crate::reference::{Pace, ReferenceSample};

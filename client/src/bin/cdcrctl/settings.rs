@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{bail, ensure};
 use cdcr_client::model::broken_bound;
-use cdcr_client::{Connection, LinkError, RequestError};
+use cdcr_client::{Connection, LinkError, RequestError, section_lengths_m};
+use cdcr_controller::nmpc::{rate_weight_warning, safe_distance_warning};
 use cdcr_shared_types::codes::Outcome;
 use cdcr_shared_types::{SolverSettings, Status, Telemetry};
 use serde_json::Value;
@@ -41,15 +42,37 @@ pub(crate) fn run(target: &Target, options: &SettingsOptions) -> anyhow::Result<
         Format::Json => serde_json::to_string_pretty(&object(settings))? + "\n",
     };
     std::io::stdout().write_all(shown.as_bytes())?;
-    warn_of(Setting::all(), settings);
+    warn_of(&connection, Setting::all(), settings)?;
     Ok(Done::Good)
 }
 
-/// Warns of values beyond what their declarations call usual, as `cdcrd check` does.
-fn warn_of(of: impl Iterator<Item = Setting>, settings: SolverSettings) {
-    for warning in of.filter_map(|setting| setting.warning(settings)) {
+/// Warns of values that are probably not meant, as `cdcrd check` does.
+fn warn_of(
+    connection: &Connection,
+    of: impl Iterator<Item = Setting>,
+    settings: SolverSettings,
+) -> anyhow::Result<()> {
+    let of: Vec<_> = of.collect();
+    let status = connection.status(STATUS_TIMEOUT)?;
+    let unusual = of.iter().filter_map(|setting| setting.warning(settings));
+    for warning in unusual.chain(unintended(&of, settings, &status)) {
         tell!("warning: {warning}");
     }
+    Ok(())
+}
+
+/// Of those among `of`, values that do not fit the daemon's robot.
+fn unintended(of: &[Setting], settings: SolverSettings, status: &Status) -> Vec<String> {
+    let is_among = |key: &str| of.iter().any(|setting| setting.key == key);
+    let lengths_m = section_lengths_m(&status.robot);
+    let (sections, auto) = (lengths_m.len(), status.rate_weight_auto);
+    let distance = safe_distance_warning(settings.safe_distance_m, lengths_m.iter().sum());
+    let weight = rate_weight_warning(settings.rate_weight, sections, auto == 0.0);
+    let weight = weight.map(|warning| format!("{warning}; without the key it is {auto}"));
+    [("safe_distance_m", distance), ("rate_weight", weight)]
+        .into_iter()
+        .filter_map(|(key, warning)| warning.filter(|_| is_among(key)))
+        .collect()
 }
 
 fn table(settings: SolverSettings, status: &Status) -> Result<String, std::fmt::Error> {
@@ -112,7 +135,7 @@ fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
         "settings: accepted, in effect after cycle {}",
         response.cycle
     )?;
-    warn_of(changed(before, after), after);
+    warn_of(connection, changed(before, after), after)?;
     if after.budget_ns > 0
         && let Some(solve_ns) = longest_cut_solve_ns(connection, response.cycle)?
     {
@@ -172,6 +195,35 @@ mod tests {
         assert_eq!(cut_solve_ns(&record), Some(4_200_000));
         record.solve_end_ns = 5_901_000;
         assert_eq!(cut_solve_ns(&record), None, "it had its time");
+    }
+
+    #[test]
+    fn what_does_not_fit_the_robot_is_warned_of_where_it_is_set() {
+        let mut status = Status {
+            rate_weight_auto: 1e-10,
+            ..Status::default()
+        };
+        status.robot.sections = 2;
+        for section in &mut status.robot.section[..2] {
+            section.length_m = 0.15;
+        }
+        let settings = SolverSettings {
+            safe_distance_m: 10.0,
+            ..SolverSettings::default()
+        };
+        let all: Vec<_> = Setting::all().collect();
+        let [distance, weight] = unintended(&all, settings, &status).try_into().unwrap();
+        assert!(
+            distance.contains("longer than the robot of 0.300 m"),
+            "{distance}"
+        );
+        assert!(
+            weight.ends_with("without the key it is 0.0000000001"),
+            "{weight}"
+        );
+        assert_eq!(unintended(&[], settings, &status), [""; 0]);
+        status.rate_weight_auto = 0.0;
+        assert_eq!(unintended(&all, settings, &status).len(), 1);
     }
 
     #[test]
