@@ -14,6 +14,7 @@ mod fit;
 mod geometry;
 mod held;
 mod noise;
+mod play;
 mod prediction;
 
 use nalgebra::Vector3;
@@ -24,6 +25,7 @@ pub use geometry::{Geometry, PARAMETERS_MAX, Parameter, ParameterGroup};
 use held::hold_undetermined;
 pub use held::{Held, Why};
 pub use noise::Noise;
+pub use play::behind_play;
 pub use prediction::CalibrationRow;
 use prediction::{Twist, residual_of};
 
@@ -144,7 +146,7 @@ pub struct Calibration {
 }
 
 /// Estimates the geometry that explains the rows, given in the order of measurement. Groups in `hold` are not
-/// estimated.
+/// estimated. The lengths are those of the cables; where motors with play were measured, [`behind_play`] computes them.
 ///
 /// A fifth of the rows, in five parts, is held out and used for validation only. 12 000 rows of three sections take
 /// some seconds.

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use cdcr_controller::calibration::{
-    Calibration, CalibrationError, CalibrationRow, Parameter, ParameterGroup, Why, calibrate,
+    Calibration, CalibrationError, CalibrationRow, Parameter, ParameterGroup, Why, behind_play,
+    calibrate,
 };
 use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
@@ -22,6 +23,8 @@ struct Trial {
     truth: RobotParameters,
     /// Zero offset of the first cable of each section (m).
     offset_m: f64,
+    /// Play between motors and cables (m).
+    play_m: f64,
     base: Isometry3<f64>,
     sensor: Isometry3<f64>,
     measures_rotation: bool,
@@ -59,6 +62,7 @@ impl Trial {
             configured,
             truth,
             offset_m: 2e-3,
+            play_m: 0.0,
             base: Isometry3::identity(),
             sensor: Isometry3::identity(),
             measures_rotation: false,
@@ -69,10 +73,13 @@ impl Trial {
     /// Records a motion along an exciting path with position motors.
     fn record(&mut self, seed: u64, duration_s: f64) {
         let model = Robot::new(&self.configured).unwrap();
-        let flaws = Flaws {
+        let mut flaws = Flaws {
             offset_m: self.offset_m,
             ..Preset::Laboratory.flaws()
         };
+        if self.play_m > 0.0 {
+            flaws.actuator.play_m = self.play_m;
+        }
         let straight = Configuration::straight(model.section_count());
         let mut plant = MisbehavingRobot::new(&model, &straight, flaws, seed)
             .unwrap()
@@ -167,6 +174,38 @@ fn lengths_radii_zeros_and_angles_are_found_and_the_bounds_are_honest() {
         let worst = inside.values().min().copied().unwrap_or(0);
         assert!(10 * worst >= 9 * seeds, "{inside:?}");
     }
+}
+
+/// Encoders are on the motors: half a millimetre of play is as much of the cables' lengths. Known play costs little, a wrong one less
+/// than none.
+#[test]
+fn play_that_is_known_is_taken_from_the_lengths() {
+    let mut trial = Trial::new(1, 3);
+    trial.play_m = 6e-4;
+    trial.record(1, 60.0);
+    let worst_mm = |play_m: f64| {
+        let rows = behind_play(&trial.rows, play_m);
+        assert!(rows.len() > trial.rows.len() - 200, "{}", rows.len());
+        let found = calibrate(&trial.configured, &rows, &[]).unwrap();
+        let lengths = found.estimates.iter().filter_map(|estimate| {
+            let is_length = matches!(estimate.parameter, Parameter::Length(_));
+            is_length.then(|| (estimate.value - trial.truth_of(estimate.parameter)).abs())
+        });
+        (
+            1e3 * lengths.fold(0.0, f64::max),
+            1e3 * found.after[1].rms_m,
+        )
+    };
+    let [none, half, right] = [0.0, 3e-4, 6e-4].map(worst_mm);
+    println!("length and held-out tip [mm]: {none:?}, {half:?}, {right:?}");
+    assert!(right.0 < 0.6 && right.1 < 1.5, "{right:?}");
+    assert!(
+        half.1 < none.1 && none.1 > 3.0 * right.1,
+        "{none:?} {half:?}"
+    );
+    // Until each cable has moved by it, nobody knows where in its play it is.
+    assert_eq!(behind_play(&trial.rows, 0.0), trial.rows);
+    assert!(behind_play(&trial.rows, 6e-4).len() < trial.rows.len());
 }
 
 fn held(found: &Calibration) -> Vec<(Parameter, Vec<Parameter>)> {

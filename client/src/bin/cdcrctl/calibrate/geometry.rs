@@ -1,6 +1,5 @@
 use std::io::Write;
 use std::path::Path;
-use std::time::Duration;
 
 use anyhow::{Context, ensure};
 use cdcr_client::counted;
@@ -14,6 +13,7 @@ use super::recording::Recording;
 use super::{recorded, report};
 use crate::Done;
 use crate::args::{Format, GeometryOptions, Target};
+use crate::dry_run::newest;
 use crate::files::read_text;
 use crate::settings::save::number_of;
 
@@ -24,6 +24,8 @@ pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<
     } else {
         of_rows(target, options)?
     };
+    let play_m = recording.play_m;
+    let recording = recording.behind_play(play_m);
     let hold: Vec<ParameterGroup> = options.hold.iter().map(|hold| hold.0).collect();
     let found: Calibration =
         calibrate(&robot, &recording.rows, &hold).with_context(|| name.to_string())?;
@@ -46,14 +48,20 @@ fn of_rows(
 ) -> anyhow::Result<(RobotParameters, Recording)> {
     let path = &options.file;
     let text = read_text(path)?;
-    let robot = if let Some(path) = &options.config {
+    let (robot, play_m) = if let Some(path) = &options.config {
         configured(path)?
     } else {
-        let status = target.connect()?.status(Duration::from_secs(1))?;
-        described(&status.robot)?
+        let record = newest(&target.connect()?)?;
+        (described(&record.robot)?, record.play_m)
     };
     let recording = Recording::parse(path, &text, 3 * robot.sections.len())?;
-    Ok((robot, recording))
+    Ok((
+        robot,
+        Recording {
+            play_m,
+            ..recording
+        },
+    ))
 }
 
 /// A recording of all services, which contains the robot.
@@ -62,7 +70,7 @@ fn of_recording(options: &GeometryOptions) -> anyhow::Result<(RobotParameters, R
     let Some(config) = &options.config else {
         return Ok((described(&description)?, recording));
     };
-    let robot = configured(config)?;
+    let (robot, play_m) = configured(config)?;
     ensure!(
         robot.sections.len() == description.sections as usize,
         "{} is of another robot: it has {}, {} has {}",
@@ -71,15 +79,21 @@ fn of_recording(options: &GeometryOptions) -> anyhow::Result<(RobotParameters, R
         config.display(),
         robot.sections.len()
     );
-    Ok((robot, recording))
+    Ok((
+        robot,
+        Recording {
+            play_m,
+            ..recording
+        },
+    ))
 }
 
 fn described(description: &RobotDescription) -> anyhow::Result<RobotParameters> {
     Ok(robot_of(description)?.parameters())
 }
 
-/// The robot of a configuration file; without sections, the default one.
-fn configured(path: &Path) -> anyhow::Result<RobotParameters> {
+/// The robot of a configuration file, without sections the default one, and its play \[m\].
+fn configured(path: &Path) -> anyhow::Result<(RobotParameters, f64)> {
     let name = path.display();
     let text = read_text(path)?;
     let document: DocumentMut = text.parse().with_context(|| name.to_string())?;
@@ -109,7 +123,12 @@ fn configured(path: &Path) -> anyhow::Result<RobotParameters> {
         });
         robot.sections = sections.collect::<anyhow::Result<_>>()?;
     }
-    Ok(robot)
+    let play = document
+        .get("actuator")
+        .and_then(|table| table.get("play_m"));
+    let play_m = play.map_or(Some(0.0), |play| play.as_value().and_then(number_of));
+    let play_m = play_m.with_context(|| format!("{name}: actuator.play_m is not a number"))?;
+    Ok((robot, play_m))
 }
 
 #[cfg(test)]
@@ -125,9 +144,14 @@ mod tests {
         let default = include_str!("../../../../../configs/default.toml");
         std::fs::write(&path, default).expect("written");
         assert_eq!(
-            configured(&path).expect("good").sections,
-            RobotParameters::paper(3).sections
+            configured(&path)
+                .map(|(robot, play_m)| (robot.sections, play_m))
+                .expect("good"),
+            (RobotParameters::paper(3).sections, 0.0)
         );
+        let play = default.replace("\nplay_m = 0.0\n", "\nplay_m = 0.0006\n");
+        std::fs::write(&path, play).expect("written");
+        assert_eq!(configured(&path).expect("good").1, 6e-4);
         std::fs::write(
             &path,
             default.replace("length_m = 0.3\n", "length_m = \"a\"\n"),

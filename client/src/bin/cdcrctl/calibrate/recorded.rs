@@ -25,7 +25,7 @@ pub(super) fn is_recording(path: &Path) -> anyhow::Result<bool> {
     Ok(begin == MAGIC || path.extension().is_some_and(|end| end == "mcap"))
 }
 
-/// The robot of a recording, and a row for each tip measurement, with the cables at that time.
+/// The robot of a recording, and a row for each tip measurement, with the motors' lengths at that time and the configured play.
 pub(super) fn read(path: &Path) -> anyhow::Result<(RobotDescription, Recording)> {
     let name = path.display();
     let mut file = file::Recording::open(path)?;
@@ -44,6 +44,7 @@ pub(super) fn read(path: &Path) -> anyhow::Result<(RobotDescription, Recording)>
 /// Content of the records.
 struct Records {
     robot: RobotDescription,
+    play_m: f64,
     sensors: Sensors,
     pairs: Pairs,
     rows: Vec<CalibrationRow>,
@@ -55,6 +56,7 @@ impl Records {
     fn begin(first: &Telemetry) -> Self {
         Self {
             robot: first.robot,
+            play_m: first.play_m,
             sensors: Sensors::of(first),
             pairs: Pairs::new(first),
             rows: Vec::new(),
@@ -90,6 +92,7 @@ impl Records {
             duration_s: self
                 .ends_s
                 .map_or(0.0, |(first_s, last_s)| last_s - first_s),
+            play_m: self.play_m,
         };
         Ok((self.robot, recording))
     }

@@ -3,7 +3,7 @@ use std::path::Path;
 
 use anyhow::{Context, bail};
 use cdcr_client::{FileTrajectory, Orientation, Trajectory, counted};
-use cdcr_controller::calibration::CalibrationRow;
+use cdcr_controller::calibration::{CalibrationRow, behind_play};
 use cdcr_controller::robot::CABLES_MAX;
 use nalgebra::{Quaternion, UnitQuaternion};
 
@@ -24,9 +24,20 @@ pub(super) struct Recording {
     pub(super) rows: Vec<CalibrationRow>,
     /// Time from the first row to the last \[s\].
     pub(super) duration_s: f64,
+    /// Play between the motors that were measured and the cables of the rows \[m\].
+    pub(super) play_m: f64,
 }
 
 impl Recording {
+    /// The same with the lengths of the cables behind their play.
+    pub(super) fn behind_play(self, play_m: f64) -> Self {
+        Self {
+            rows: behind_play(&self.rows, play_m),
+            play_m,
+            ..self
+        }
+    }
+
     /// Parses and checks the text of a file of a robot with this number of cables. Times and tips have the
     /// columns of a reference file, with the cables beside them.
     pub(super) fn parse(path: &Path, text: &str, cables: usize) -> anyhow::Result<Self> {
@@ -46,6 +57,7 @@ impl Recording {
         Ok(Self {
             rows: cables_m.into_iter().zip(times_s).map(row).collect(),
             duration_s: tips.duration_s(),
+            play_m: 0.0,
         })
     }
 }

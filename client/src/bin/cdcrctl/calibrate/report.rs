@@ -35,6 +35,13 @@ pub(super) fn text(
             "position"
         },
     )?;
+    if recording.play_m > 0.0 {
+        writeln!(
+            out,
+            "the cables follow the measured motors behind a play of {:.3} mm (actuator.play_m)\n",
+            1e3 * recording.play_m
+        )?;
+    }
     let head = ["", "configured", "found", "95 % within"];
     writeln!(
         out,
@@ -136,7 +143,7 @@ fn evaluation(out: &mut String, found: &Calibration) -> Result<(), Error> {
     if found.correlation > CORRELATED {
         writeln!(
             out,
-            "\nResiduals of consecutive rows are correlated: the model lacks an effect (play, a load, friction). The \
+            "\nResiduals of consecutive rows are correlated: the model lacks an effect (other play than actuator.play_m, a load, friction). The \
              bounds are widened {:.1} times for it and hold for this model only.",
             found.correlation
         )?;
@@ -223,6 +230,7 @@ pub(super) fn json(robot: &RobotParameters, recording: &Recording, found: &Calib
     json!({
         "rows": recording.rows.len(),
         "duration_s": recording.duration_s,
+        "play_m": recording.play_m,
         "estimates": found.estimates.iter().map(estimate).collect::<Vec<_>>(),
         "cable_zeros": zeros
             .map(|(zero_m, within_m)| json!({ "found_m": zero_m, "within_95_m": within_m }))
