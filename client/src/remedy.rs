@@ -141,7 +141,7 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
             "Check that the driver still reads the sensors and the robot can move, then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::FollowingError => {
-            "Check that the motors run and nothing holds the robot; with a new driver also the sign, order and unit of its cables, and that \
+            "Motors of positions push on: switch off their torque before you touch the robot. Check that the motors run and nothing holds the robot; with a new driver also the sign, order and unit of its cables, and that \
              it obeys its commands (cdcrctl status shows the following error). Then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::InputsStale => {

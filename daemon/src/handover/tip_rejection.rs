@@ -30,8 +30,9 @@ impl TipCause {
         match self {
             Self::Far => {
                 "Usual causes: (1) the frame of the sensor is not that of the base: compare origin and axes with the robot straight \
-                 and bent (docs/drivers.md, Frames); (2) the sensor sends millimetres: send metres; (3) lengths or cable radii of the configuration are wrong: cdcrctl calibrate geometry; \
-                 (4) the encoders have lost their zero: docs/drivers.md, Zero; (5) the sensor sees something else than the tip"
+                 and bent (docs/drivers.md, Frames); (2) the sensor sends millimetres: send metres; (3) order or sign of the cables is wrong: docs/drivers.md, The first motion; \
+                 (4) lengths or cable radii of the configuration are wrong: cdcrctl calibrate geometry; \
+                 (5) the encoders have lost their zero: docs/drivers.md, Zero; (6) the sensor sees something else than the tip"
             }
             Self::WasFar => {
                 "It was beyond the limit before: it is used again after some time within it"

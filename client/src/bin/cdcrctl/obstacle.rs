@@ -74,11 +74,24 @@ fn note_clearance(record: &Telemetry) {
             "and a robot at rest does not evade"
         };
         tell!(
-            "note: the body is {} mm from an obstacle, nearer than the safe distance of {} mm, {consequence}",
+            "note: the body is {} mm from an obstacle, nearer than the safe distance of {} mm, {consequence}{}",
             clearance_text(record.clearance_m),
-            clearance_text(safe_m)
+            clearance_text(safe_m),
+            margin_text(record.tip_margin_m)
         );
     }
+}
+
+/// What of the distance is not measured.
+fn margin_text(margin_m: f64) -> String {
+    const SHOWN_M: f64 = 1e-4;
+    if margin_m < SHOWN_M {
+        return String::new();
+    }
+    format!(
+        "; the body counts as up to {:.1} mm thicker, because its tip may be so far from the model (tip margin)",
+        1e3 * margin_m
+    )
 }
 
 /// Number of known obstacles after this message was accepted.

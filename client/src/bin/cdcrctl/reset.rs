@@ -16,17 +16,23 @@ pub(crate) fn run(target: &Target, options: &ResetOptions) -> anyhow::Result<Don
     let (kind, accept_pose) = (RequestKind::Reset, options.accept_pose);
     let connection = target.connect().ok();
     let before = connection.and_then(|connection| connection.status(STATUS).ok());
-    if let Some(note) = before.as_ref().and_then(motion) {
-        tell!("{note}");
-    }
+    let note = before.as_ref().and_then(motion);
+    let tell_note = || {
+        if let Some(note) = &note {
+            tell!("{note}");
+        }
+    };
     if let Some(limit) = options.wait.wait {
         return wait::run_by(target, kind, limit, |connection| {
-            connection.reset(accept_pose)
+            let response = connection.reset(accept_pose)?;
+            tell_note();
+            Ok(response)
         });
     }
     let (location, robot) = target.location()?;
     let response = Requester::open(&location, robot)?.reset(accept_pose)?;
     wait::print_outcome(kind, &response)?;
+    tell_note();
     Ok(Done::Good)
 }
 
@@ -36,8 +42,8 @@ fn motion(before: &Status) -> Option<String> {
     let may_move = before.interface == Interface::Position.code() && away_rad > SEEN_RAD;
     may_move.then(|| {
         format!(
-            "note: a section is measured {away_rad:.3} rad from its command. After the reset the command moves to where the robot is measured, and the \
-             motors may move the robot by as much while the mode is holding; --wait waits until it rests"
+            "note: a section was measured {away_rad:.3} rad from its command. Where it is more than 0.05 rad, the command moves to where the robot is measured, \
+             and the motors may move the robot by as much while the mode is holding; --wait waits until it rests"
         )
     })
 }

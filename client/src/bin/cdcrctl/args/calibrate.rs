@@ -21,7 +21,7 @@ pub(crate) enum CalibrateAction {
     #[command(
         after_help = "Examples:\n  cdcrctl calibrate excite -o moved.csv --dry-run\n  \
         cdcrctl calibrate excite -o moved.csv --bend-max 1.0\n\n\
-        The tip moves in all directions, as far and as fast as the limits allow: large bends give the best estimate. The path keeps clear of known \
+        The tip moves in all directions, as far as --bend-max allows within --duration: large bends give the best estimate. The path keeps clear of known \
         obstacles; where they are in the way, it is made smaller or rejected. The robot must be at rest (cdcrctl home --wait), with cable lengths and tip measured. On an \
         error or Ctrl-C the robot holds, and the rows written so far are kept."
     )]

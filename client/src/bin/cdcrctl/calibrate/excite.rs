@@ -200,7 +200,9 @@ fn check_bends(record: &Telemetry, bend_max_rad: f64) -> anyhow::Result<()> {
         let bend_rad = pair[0].hypot(pair[1]);
         ensure!(
             bend_rad <= bend_max_rad,
-            "section {} bends by {bend_rad:.3} rad, more than {bend_max_rad:.3} rad",
+            "section {} bends by {bend_rad:.4} rad, more than --bend-max {bend_max_rad:.4}: tip or cables are not as the model says, and the correction \
+             by the measurement bends the robot farther than planned. The robot holds, and the rows so far are kept: use a larger --bend-max \
+             if the robot may bend so far",
             section + 1
         );
     }
