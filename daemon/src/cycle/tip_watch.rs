@@ -2,14 +2,10 @@
 
 use cdcr_controller::estimator::{Measurement, TipRefusal, tip_offset_max_m};
 use cdcr_controller::safety::{MeasurementWatch, Plausibility, PlausibilityRules};
-use cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS;
 
 use super::silence::age_s;
 use super::state::RobotState;
-use crate::handover::{CycleInputs, MeasurementUse, TimedMeasurement, TipCause};
-
-/// Age of the newest measurement above which the sensor measures no more \[ns\].
-const SILENT_NS: u64 = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
+use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement, TipCause};
 
 #[derive(Debug)]
 pub(super) struct TipWatch {
@@ -142,7 +138,7 @@ impl RobotState {
     /// Compares the newest tip with the measured bends, also one with the bits of the one before: a camera of coarse resolution
     /// repeats them at rest, where encoders may lose their zero. A sensor that is wrong by itself, or measures no more, contradicts nothing.
     fn compare_tip(&mut self, tip: &TimedMeasurement, release_ns: u64) {
-        let measures = release_ns.saturating_sub(tip.measured_ns) <= SILENT_NS;
+        let measures = release_ns.saturating_sub(tip.measured_ns) <= Policy::TIP_SILENT_NS;
         if measures && self.tip_watch.unused == Some(TipCause::Jumps) {
             // A stray one.
             return;

@@ -57,6 +57,10 @@ impl Policy {
     /// A reset has to accept a pose measured farther than this from where the last command left the robot \[rad\].
     pub const POSE_DIFFERS_RAD: f64 = cdcr_shared_types::limits::POSE_DIFFERS_RAD;
 
+    /// Age of the newest measurement of the tip above which its sensor measures no more \[ns\].
+    pub const TIP_SILENT_NS: u64 =
+        1_000_000 * cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS as u64;
+
     /// Time constant of the motors \[ns\].
     pub fn motor_time_constant_ns(&self) -> u64 {
         (self.actuator.time_constant_s * 1e9) as u64

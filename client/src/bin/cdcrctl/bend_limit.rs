@@ -2,10 +2,9 @@
 
 use std::fmt;
 
+use cdcr_client::model::robot_of;
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::Telemetry;
-
-use crate::dry_run::robot_and_pose;
 
 /// A bend this near to its limit, as a share of it, is at the limit.
 const AT_LIMIT: f64 = 1e-3;
@@ -40,7 +39,8 @@ impl BendShare {
 
     /// The section that is at its limit in a record.
     pub(crate) fn at_limit_of(record: &Telemetry) -> Option<Self> {
-        let (robot, here) = robot_and_pose(record).ok()?;
+        let robot = robot_of(&record.robot).ok()?;
+        let here = Configuration::from_slice(record.bend_rad.get(..robot.coordinate_count())?)?;
         Self::of(&robot, &here).at_limit()
     }
 
