@@ -92,8 +92,8 @@ step "clients: the service's user and a member; not root, not others"
 for user in cdcr member; do as "$user" cdcrctl --root /run/cdcr status >/dev/null || fail "$user is refused"; done
 for user in root other; do ! as "$user" cdcrctl --root /run/cdcr status 2>/dev/null || fail "$user is let in"; done
 # Read completely first, because grep -q ends at its first match.
-said=$(as member cdcrctl status 2>&1 || true)
-grep -q 'one runs as the service.*--root /run/cdcr' <<<"$said" || fail "no word of the service: $said"
+output=$(as member cdcrctl status 2>&1 || true)
+grep -q 'one runs as the service.*--root /run/cdcr' <<<"$output" || fail "the output does not name the service: $output"
 
 step "reload, the signal of the stop, a restart while a client feeds"
 inside sh -c 'printf "[controller]\nrefinement_steps = 2\n" >> /etc/cdcr/cdcr.toml'
@@ -122,7 +122,7 @@ p=$(get MainPID); inside systemctl kill -s KILL cdcrd; comes_back "$p" 'status=9
 p=$(get MainPID); inside systemctl kill -s STOP cdcrd; comes_back "$p" 'Watchdog timeout'
 p=$(get MainPID); inside sh -c 'rm -r /run/cdcr/*'; comes_back "$p" 'status=83'
 
-step "what a restart cannot mend: left"
+step "what a restart cannot repair: left"
 drop_in '[Service]\nExecStart=\nExecStart=/usr/bin/cdcrd run --nonsense\n' try; ends_with 2
 drop_in '[Service]\nExecStart=\nExecStart=/usr/bin/cdcrd run --set nonsense=1\n' try; ends_with 78
 drop_in '[Service]\nEnvironment=CDCR_ROOT=/run\n' try; ends_with 73

@@ -30,27 +30,27 @@ impl Causes {
         self.0[cause.code() as usize] += 1;
     }
 
-    fn of(&self, cause: LateCause) -> u64 {
+    fn get(&self, cause: LateCause) -> u64 {
         self.0[cause.code() as usize]
     }
 
     pub fn own(&self) -> u64 {
-        OWN.map(|cause| self.of(cause)).iter().sum()
+        OWN.map(|cause| self.get(cause)).iter().sum()
     }
 
     pub fn all(&self) -> u64 {
-        NAMES.iter().map(|(cause, ..)| self.of(*cause)).sum()
+        NAMES.iter().map(|(cause, ..)| self.get(*cause)).sum()
     }
 
     pub fn words(self) -> String {
-        let there = NAMES.iter().filter(|(cause, ..)| self.of(*cause) > 0);
-        let words = there.map(|(cause, _, words)| format!("{} {words}", self.of(*cause)));
+        let there = NAMES.iter().filter(|(cause, ..)| self.get(*cause) > 0);
+        let words = there.map(|(cause, _, words)| format!("{} {words}", self.get(*cause)));
         words.collect::<Vec<_>>().join(", ")
     }
 }
 
 impl Serialize for Causes {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(NAMES.map(|(cause, key, _)| (key, self.of(cause))))
+        serializer.collect_map(NAMES.map(|(cause, key, _)| (key, self.get(cause))))
     }
 }

@@ -199,7 +199,7 @@ struct CompareArguments {
 pub(crate) fn run() -> Result<()> {
     let (command, matches) = (Cli::command(), Cli::command().get_matches());
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
-    let start = || Start::now(RunOptions::of(&command, &matches));
+    let start = || Start::now(RunOptions::from_matches(&command, &matches));
     match cli.command {
         Command::All(asked) => asked.run(start()?),
         Command::One(one) => one.run(&start()?),

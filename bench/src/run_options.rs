@@ -16,7 +16,7 @@ pub struct RunOptions(BTreeMap<String, String>);
 
 impl RunOptions {
     /// The given options of this program, except those for the place and format of the result.
-    pub fn of(command: &clap::Command, matches: &ArgMatches) -> Self {
+    pub fn from_matches(command: &clap::Command, matches: &ArgMatches) -> Self {
         let Some((name, matches)) = matches.subcommand() else {
             return Self::default();
         };
@@ -76,7 +76,7 @@ mod tests {
         let of = |words: &str| {
             let words = format!("bench deadline {words}");
             let matches = command.clone().get_matches_from(words.split(' '));
-            RunOptions::of(&command, &matches)
+            RunOptions::from_matches(&command, &matches)
         };
         let one = of("--load=none --load cpu --rounds 3");
         assert_eq!(one, of("--rounds=3 --load none,cpu"));

@@ -95,9 +95,9 @@ impl Benchmark for SolverOptions {
         let found = study::run(self.rounds, &self.cases(), progress)?;
         let mut dataset = Dataset::new("solver", include_str!("solver/solver.toml"));
         dataset.fact("rounds", self.rounds);
-        dataset.add_rounds(CASES, found.of(CASES));
+        dataset.add_rounds(CASES, found.get(CASES));
         for (table, ..) in BESIDE {
-            dataset.add_rounds(table, found.of(table));
+            dataset.add_rounds(table, found.get(table));
         }
         // The paper's size is part of every series.
         let metrics = &mut dataset.metrics;

@@ -20,7 +20,7 @@ pub(crate) struct Rounds(BTreeMap<&'static str, Vec<Vec<Value>>>);
 
 impl Rounds {
     /// Empty if nothing of that table was measured.
-    pub(crate) fn of(&self, table: &str) -> &[Vec<Value>] {
+    pub(crate) fn get(&self, table: &str) -> &[Vec<Value>] {
         self.0.get(table).map_or(&[], Vec::as_slice)
     }
 }

@@ -280,14 +280,14 @@ struct Entry<'a> {
     offset: u32,
 }
 
-/// The curves with a label, in lines not longer than `room`.
-fn legend(panel: &Panel, room: u32) -> Vec<Entry<'_>> {
+/// The curves with a label, in lines not longer than `width_max`.
+fn legend(panel: &Panel, width_max: u32) -> Vec<Entry<'_>> {
     let (mut line, mut offset) = (0, 0);
     let labelled = panel.curves.iter().filter(|curve| !curve.label.is_empty());
     labelled
         .map(|curve| {
             let width = SWATCH + 35 + LETTER * curve.label.chars().count() as u32;
-            if offset > 0 && offset + width > room {
+            if offset > 0 && offset + width > width_max {
                 (line, offset) = (line + 1, 0);
             }
             let entry = Entry {
@@ -413,8 +413,8 @@ fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
 }
 
 fn widened(low: f64, high: f64) -> Range<f64> {
-    let room = 0.05 * (high - low);
-    low - room..high + room
+    let margin = 0.05 * (high - low);
+    low - margin..high + margin
 }
 
 /// A floor that is not a power of ten becomes the end of the range.

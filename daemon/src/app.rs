@@ -377,7 +377,7 @@ fn spawn_cycle(
     })
 }
 
-/// A cycle that starts latched where the daemon before was, and doubts the pose where that did.
+/// A cycle that starts latched where the previous daemon was, and with a pose in doubt where that daemon left it so.
 fn as_left_before(cycle: Cycle, latch: Latch) -> Cycle {
     let Some(reported) = latch.describe() else {
         return cycle;

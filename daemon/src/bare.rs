@@ -121,7 +121,7 @@ fn spawn(
     let plan = config.realtime.thread_plan(config.realtime.cycle_priority);
     let ending = Arc::clone(ending);
     Started::spawn("cdcr-cycle", move |stage| {
-        let mut deltas = SchedulerDeltas::at(Some(this_thread()));
+        let mut deltas = SchedulerDeltas::new(Some(this_thread()));
         if let Some(mut schedule) = stage.prepare(plan, || ()) {
             recorder.run(&mut schedule, &MonotonicClock, &mut deltas, &ending);
         }
@@ -357,7 +357,7 @@ mod tests {
             (Duration::MAX, "10 million"),
         ] {
             let error = last(&config, duration).unwrap_err();
-            assert_eq!(ExitCause::of(&error), ExitCause::Usage);
+            assert_eq!(ExitCause::from_error(&error), ExitCause::Usage);
             let message = error.to_string();
             assert!(message.contains(word), "{message}");
             assert!(message.contains("0.005 s to 50000 s"), "{message}");

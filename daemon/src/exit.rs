@@ -65,7 +65,7 @@ impl ExitCause {
     }
 
     /// The cause of an error, found anywhere in its chain.
-    pub fn of(error: &anyhow::Error) -> Self {
+    pub fn from_error(error: &anyhow::Error) -> Self {
         let known = error.chain().find_map(|cause| {
             if let Some(ended) = cause.downcast_ref::<Ended>() {
                 return Some(ended.cause);
@@ -116,10 +116,13 @@ mod tests {
             message: "hung".to_owned(),
         };
         let error = anyhow::Error::new(ended).context("ending");
-        assert_eq!(ExitCause::of(&error), ExitCause::CycleHung);
-        assert_eq!(ExitCause::of(&anyhow::anyhow!("?")), ExitCause::Other);
+        assert_eq!(ExitCause::from_error(&error), ExitCause::CycleHung);
+        assert_eq!(
+            ExitCause::from_error(&anyhow::anyhow!("?")),
+            ExitCause::Other
+        );
         let service = "cdcr/a/telemetry".to_owned();
         let taken = anyhow::Error::new(ServiceError::Taken { service });
-        assert_eq!(ExitCause::of(&taken), ExitCause::AlreadyRuns);
+        assert_eq!(ExitCause::from_error(&taken), ExitCause::AlreadyRuns);
     }
 }

@@ -28,7 +28,7 @@ fn status_of(work: impl FnOnce() -> Result<ExitCode>, say: impl FnOnce(&str)) ->
         Ok(Ok(status)) => status,
         Ok(Err(error)) => {
             say(&format!("{error:#}"));
-            ExitCause::of(&error).into()
+            ExitCause::from_error(&error).into()
         }
         Err(_) => ExitCause::Panicked.into(),
     }

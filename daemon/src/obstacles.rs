@@ -29,7 +29,7 @@ impl KnownObstacle {
 
     /// The obstacle at `time_ns`, at constant velocity. `None` if it has expired by then, or is farther away
     /// than an [`Obstacle`] can be: a thousand kilometres.
-    pub fn at(&self, time_ns: u64) -> Option<Self> {
+    pub fn advanced_to(&self, time_ns: u64) -> Option<Self> {
         let age_s = time_ns.wrapping_sub(self.measured_ns).cast_signed() as f64 * 1e-9;
         let moved = self.obstacle.moved(age_s);
         let (radius_m, velocity_m_s) = (moved.radius_m(), moved.velocity_m_s());
@@ -57,7 +57,7 @@ impl KnownObstacle {
         if now_ns <= expires_ns {
             return endless;
         }
-        let moved = endless.at(expires_ns).unwrap_or(endless);
+        let moved = endless.advanced_to(expires_ns).unwrap_or(endless);
         let standing = Obstacle::new(
             *moved.obstacle.shape(),
             moved.obstacle.radius_m(),
@@ -128,9 +128,10 @@ impl ObstacleSet {
         }
     }
 
-    /// Each obstacle at `time_ns`, except those omitted by [`KnownObstacle::at`].
+    /// Each obstacle at `time_ns`, except those omitted by [`KnownObstacle::advanced_to`].
     pub fn iter_at(&self, time_ns: u64) -> impl Iterator<Item = KnownObstacle> {
-        self.iter().filter_map(move |known| known.at(time_ns))
+        self.iter()
+            .filter_map(move |known| known.advanced_to(time_ns))
     }
 
     /// The obstacles, always in the same order.
@@ -221,11 +222,15 @@ mod tests {
     #[test]
     fn a_kept_obstacle_stands_where_its_source_saw_it_last() {
         let known = ball(1, Some(200));
-        let place =
-            |known: &KnownObstacle, time_ns| match known.at(time_ns).unwrap().obstacle.shape() {
-                Shape::Sphere { centre_m } => *centre_m,
-                Shape::Capsule { .. } => panic!("a ball"),
-            };
+        let place = |known: &KnownObstacle, time_ns| match known
+            .advanced_to(time_ns)
+            .unwrap()
+            .obstacle
+            .shape()
+        {
+            Shape::Sphere { centre_m } => *centre_m,
+            Shape::Capsule { .. } => panic!("a ball"),
+        };
         // Moves within its predicted time.
         let moving = known.kept(1100 * MS);
         assert_eq!(place(&moving, 1150 * MS), place(&known, 1150 * MS));
@@ -240,13 +245,13 @@ mod tests {
     #[test]
     fn obstacles_move_from_their_stamp_to_the_release() {
         let known = ball(1, None);
-        let centre = |time_ns| match known.at(time_ns).unwrap().obstacle.shape() {
+        let centre = |time_ns| match known.advanced_to(time_ns).unwrap().obstacle.shape() {
             Shape::Sphere { centre_m } => *centre_m,
             Shape::Capsule { .. } => panic!("a ball"),
         };
         let later = centre(1200 * MS) - Vector3::new(0.2, 0.0, 0.25);
         let earlier = centre(999 * MS) - Vector3::new(0.0995, 0.0, 0.30025);
         assert!(later.norm() < 1e-15 && earlier.norm() < 1e-15);
-        assert_eq!(known.at(1200 * MS).unwrap().measured_ns, 1200 * MS);
+        assert_eq!(known.advanced_to(1200 * MS).unwrap().measured_ns, 1200 * MS);
     }
 }

@@ -103,7 +103,7 @@ impl ServiceManager {
         let Some(name) = std::env::var_os("NOTIFY_SOCKET").filter(|name| !name.is_empty()) else {
             return Self::none();
         };
-        Self::at(&name, sd_notify::watchdog_enabled()).unwrap_or_else(|error| {
+        Self::connect(&name, sd_notify::watchdog_enabled()).unwrap_or_else(|error| {
             tracing::warn!(socket = ?name, %error, "cannot notify the service manager: NOTIFY_SOCKET is invalid");
             Self::none()
         })
@@ -124,7 +124,7 @@ impl ServiceManager {
 
     /// A service manager that listens at `socket` (a path, or `@name` in the abstract namespace) and expects
     /// a heartbeat every `watchdog_period`.
-    pub fn at(socket: &OsStr, watchdog_period: Option<Duration>) -> io::Result<Self> {
+    pub fn connect(socket: &OsStr, watchdog_period: Option<Duration>) -> io::Result<Self> {
         let watchdog = watchdog_period
             .filter(|period| !period.is_zero())
             .map(|period| Watchdog {
@@ -133,7 +133,7 @@ impl ServiceManager {
                 cycles: 0,
             });
         Ok(Self {
-            listener: Some(Listener::at(socket)?),
+            listener: Some(Listener::bind(socket)?),
             watchdog,
             ..Self::none()
         })
@@ -225,7 +225,7 @@ impl ServiceManager {
 }
 
 impl Listener {
-    fn at(name: &OsStr) -> io::Result<Self> {
+    fn bind(name: &OsStr) -> io::Result<Self> {
         let address = match name.as_bytes() {
             [b'@', name @ ..] => SocketAddr::from_abstract_name(name)?,
             [b'/', ..] => SocketAddr::from_pathname(name)?,
@@ -275,7 +275,7 @@ mod tests {
 
         fn configured_by(&self, watchdog_period: Option<Duration>) -> ServiceManager {
             let path = self.folder.path().join("notify");
-            ServiceManager::at(path.as_os_str(), watchdog_period).unwrap()
+            ServiceManager::connect(path.as_os_str(), watchdog_period).unwrap()
         }
 
         /// Moves the socket away, or back.
@@ -451,7 +451,7 @@ mod tests {
         let name = format!("cdcr-test-{}", std::process::id());
         let address = SocketAddr::from_abstract_name(&name).unwrap();
         let socket = UnixDatagram::bind_addr(&address).unwrap();
-        let mut service = ServiceManager::at(OsStr::new(&format!("@{name}")), None).unwrap();
+        let mut service = ServiceManager::connect(OsStr::new(&format!("@{name}")), None).unwrap();
         service.ready();
         let mut buffer = [0; 64];
         let length = socket.recv(&mut buffer).unwrap();
@@ -463,7 +463,7 @@ mod tests {
         let too_long = format!("/{}", "x".repeat(200));
         for name in ["notify", "vsock:2:1234", &too_long] {
             assert!(
-                ServiceManager::at(OsStr::new(name), None).is_err(),
+                ServiceManager::connect(OsStr::new(name), None).is_err(),
                 "{name}"
             );
         }

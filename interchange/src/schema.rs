@@ -78,7 +78,7 @@ impl Definition {
     fn of_layout(layout: &'static Layout) -> Self {
         let mut definition = Self::new(&format!("{PACKAGE}/msg/{}", layout.name));
         for field in layout.fields.iter().filter(|field| is_kept(field)) {
-            definition.field(field.name, FieldType::of(field), &note(field));
+            definition.field(field.name, FieldType::from_field(field), &note(field));
         }
         definition
     }
@@ -119,7 +119,7 @@ impl Definition {
 }
 
 impl FieldType {
-    fn of(field: &Field) -> Self {
+    fn from_field(field: &Field) -> Self {
         match field.kind {
             Kind::Array(..) if is_text(field) => Self::Plain("string", TypeId::STRING),
             Kind::Array(element, _) if is_sequence(field) => {

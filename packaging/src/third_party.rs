@@ -79,7 +79,9 @@ fn linked(metadata: &Value) -> Result<Vec<Foreign<'_>>> {
         }
     }
     let foreign = seen.into_iter().filter(|id| !is_ours(id));
-    foreign.map(|id| Foreign::of(packages[id])).collect()
+    foreign
+        .map(|id| Foreign::from_package(packages[id]))
+        .collect()
 }
 
 fn by_id(list: &Value) -> Result<BTreeMap<Id<'_>, &Value>> {
@@ -111,7 +113,7 @@ fn is_macro(package: &Value) -> bool {
 }
 
 impl<'a> Foreign<'a> {
-    fn of(package: &'a Value) -> Result<Self> {
+    fn from_package(package: &'a Value) -> Result<Self> {
         let text = |key: &str| package[key].as_str();
         let name = text("name").context("a package without a name")?;
         let version = text("version").context("a package without a version")?;

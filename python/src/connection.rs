@@ -112,7 +112,7 @@ impl Connection {
     /// Raises LinkError if the daemon is silent.
     #[pyo3(signature = (timeout_s = 1.0) -> "Message")]
     fn status<'py>(&self, py: Python<'py>, timeout_s: f64) -> PyResult<Bound<'py, PyDict>> {
-        Records::of(&*self.snapshot(py, timeout_s)?).into_message(py)
+        Records::from_message(&*self.snapshot(py, timeout_s)?).into_message(py)
     }
 
     /// The daemon's robot.

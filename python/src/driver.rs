@@ -123,7 +123,7 @@ impl DriverPort {
             .worker
             .poll_on_thread(py, until, |driver, slice| Ok(driver.next_command(slice)?))?;
         if let Some(command) = command {
-            return Records::of(&command).into_message(py).map(Some);
+            return Records::from_message(&command).into_message(py).map(Some);
         }
         let runs = self.address.check_runs(Service::Command, begin.elapsed());
         runs.map_err(Failure::from)?;

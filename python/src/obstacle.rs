@@ -28,7 +28,7 @@ impl Obstacle {
         velocity_m_s: Option<ArrayLike<'_>>,
     ) -> PyResult<Self> {
         let centre_m = triple(&centre_m, "centre_m")?.into();
-        Self::of(Shape::Sphere { centre_m }, radius_m, velocity_m_s)
+        Self::from_shape(Shape::Sphere { centre_m }, radius_m, velocity_m_s)
     }
 
     /// A cylinder with round ends.
@@ -47,7 +47,7 @@ impl Obstacle {
             start_m: triple(&start_m, "start_m")?.into(),
             end_m: triple(&end_m, "end_m")?.into(),
         };
-        Self::of(shape, radius_m, velocity_m_s)
+        Self::from_shape(shape, radius_m, velocity_m_s)
     }
 
     /// Radius around the axis [m].
@@ -109,7 +109,11 @@ impl Obstacle {
 }
 
 impl Obstacle {
-    fn of(shape: Shape, radius_m: f64, velocity_m_s: Option<ArrayLike<'_>>) -> PyResult<Self> {
+    fn from_shape(
+        shape: Shape,
+        radius_m: f64,
+        velocity_m_s: Option<ArrayLike<'_>>,
+    ) -> PyResult<Self> {
         let velocity_m_s = velocity_m_s
             .map(|value| triple(&value, "velocity_m_s"))
             .transpose()?

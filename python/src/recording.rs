@@ -71,7 +71,7 @@ struct Blank {
 }
 
 impl Blank {
-    fn of(&mut self, topic: Topic) -> &mut dyn Struct {
+    fn get_mut(&mut self, topic: Topic) -> &mut dyn Struct {
         match topic {
             Topic::Telemetry => {
                 *self.telemetry = Telemetry::default();
@@ -142,7 +142,7 @@ impl Recording {
                             continue;
                         }
                     }
-                    let blank = self.blank.of(topic);
+                    let blank = self.blank.get_mut(topic);
                     decode(message.data, blank).map_err(|error| refused(&self.path, &error))?;
                     self.found[topic as usize].push(blank);
                     one_robot(&self.path, &self.robots)?;

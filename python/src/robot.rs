@@ -114,7 +114,7 @@ impl Robot {
                 *place(section) = *value;
             }
         }
-        Self::of(&parameters)
+        Self::from_parameters(&parameters)
     }
 
     /// The paper's robot: sections of 0.3 m, cables at 12.5 mm. sections: 1 to 6.
@@ -122,7 +122,7 @@ impl Robot {
     #[pyo3(signature = (sections = 3))]
     fn paper(sections: i128) -> PyResult<Self> {
         let sections: u8 = count("sections", sections, 1..=SECTIONS_MAX as u8)?;
-        Self::of(&RobotParameters::paper(sections.into()))
+        Self::from_parameters(&RobotParameters::paper(sections.into()))
     }
 
     /// The robot in the table `[robot]` of a configuration of cdcrd.
@@ -134,7 +134,7 @@ impl Robot {
         let paper = RobotParameters::paper(3);
         let mut file = read(&path)?;
         let Some(Value::Table(mut table)) = file.remove("robot") else {
-            return Self::of(&paper);
+            return Self::from_parameters(&paper);
         };
         table.remove("name");
         for (key, value) in [
@@ -157,7 +157,7 @@ impl Robot {
                 format!("Check it with: cdcrd check --config {name}"),
             )
         })?;
-        Self::of(&parameters)
+        Self::from_parameters(&parameters)
     }
 
     /// Number of sections n, 1 to 6.
@@ -327,7 +327,7 @@ impl Robot {
 }
 
 impl Robot {
-    fn of(parameters: &RobotParameters) -> PyResult<Self> {
+    fn from_parameters(parameters: &RobotParameters) -> PyResult<Self> {
         let inner = robot::Robot::new(parameters).map_err(Failure::from)?;
         Ok(Self { inner })
     }
@@ -384,7 +384,7 @@ impl Robot {
         let bends = self.bends(&bend, "bend")?;
         let (values, robot, count) = (bends.values(), &self.inner, bends.count());
         let numbers: usize = row.iter().product();
-        let mut out = room(count, numbers)?;
+        let mut out = empty_list(count, numbers)?;
         py.detach(|| {
             let width = robot.coordinate_count();
             let blocks = values.chunks(BLOCK * width);
@@ -430,7 +430,7 @@ impl Robot {
 }
 
 /// Zeros for `count` rows. Fails without enough memory, which would otherwise end the process.
-fn room(count: usize, numbers: usize) -> Result<Vec<f64>, Failure> {
+fn empty_list(count: usize, numbers: usize) -> Result<Vec<f64>, Failure> {
     let all = count.checked_mul(numbers);
     match all.map(|all| Vec::<f64>::new().try_reserve_exact(all)) {
         // Zeroed by the kernel: the threads that fill the pages allocate them.

@@ -26,7 +26,7 @@ impl Records {
     }
 
     /// One message.
-    pub(crate) fn of(message: &dyn Struct) -> Self {
+    pub(crate) fn from_message(message: &dyn Struct) -> Self {
         let mut records = Self::new(message.layout());
         records.push(message);
         records

@@ -168,7 +168,7 @@ impl Live {
         while let Some(record) = self.telemetry.try_next()? {
             log(&self.records, &record, self.offset_ns)?;
             let at = stamp(record.header.sent_ns + self.offset_ns);
-            for Drawing { channel, data } in self.drawings.of(&record)? {
+            for Drawing { channel, data } in self.drawings.encode(&record)? {
                 self.drawn[channel as usize].log_with_meta(&data, at);
             }
         }

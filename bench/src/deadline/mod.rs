@@ -79,7 +79,7 @@ impl DeadlineOptions {
     fn stretches(&self, is_realtime: bool, round: u32) -> Vec<Key> {
         let mut keys = Vec::new();
         for setup in Setup::ALL {
-            let mut subjects = Subject::of(setup);
+            let mut subjects = Subject::in_setup(setup);
             let count = subjects.len();
             subjects.rotate_left((round - 1) as usize % count);
             for load in self.loads(setup) {

@@ -42,7 +42,7 @@ named! {
 }
 
 impl Subject {
-    pub(super) fn of(setup: Setup) -> Vec<Self> {
+    pub(super) fn in_setup(setup: Setup) -> Vec<Self> {
         let has_cyclictest = setup == Setup::Realtime && Cyclictest::find().is_some();
         Self::ALL[..2 + usize::from(has_cyclictest)].to_vec()
     }
@@ -134,7 +134,7 @@ impl<'a> Runner<'a> {
             let begin_ns = first_ns + WARM_UP.as_nanos() as u64;
             // As for the daemon: a stall across the end of the warm-up counts, with all skipped periods.
             let warm = cycles.partition_point(|cycle| cycle.due_ns + cycle.wake_ns < begin_ns);
-            Ok(Tally::of(&cycles[warm..], false))
+            Ok(Tally::from_cycles(&cycles[warm..], false))
         })
     }
 
@@ -147,7 +147,7 @@ impl<'a> Runner<'a> {
         interrupt::sleep(WARM_UP)?;
         self.with_steal(Setup::Realtime, || {
             let latencies = running.wait()?.without_first(warm)?;
-            Tally::of_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)
+            Tally::from_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)
         })
     }
 
@@ -175,7 +175,7 @@ impl<'a> Runner<'a> {
                     if let Some(received_ns) = seen.received_ns {
                         commands_ns.saturating_record(received_ns.saturating_sub(record.due_ns));
                     }
-                    cycles.insert(record.cycle, Cycle::of(record));
+                    cycles.insert(record.cycle, Cycle::from_record(record));
                 }
                 while let Some(incident) = incidents.try_next()? {
                     let cause = LateCause::try_from(incident.telemetry.scheduling.late_cause);
@@ -198,7 +198,7 @@ impl<'a> Runner<'a> {
             "budget_hits": budget_hits,
             "tracking_share": tracking as f64 / count.max(1) as f64,
         });
-        let mut tally = Tally::of(&cycles.into_values().collect::<Vec<_>>(), true);
+        let mut tally = Tally::from_cycles(&cycles.into_values().collect::<Vec<_>>(), true);
         tally.counts = joined([tally.counts, of_clients]);
         tally.times[COMMAND] = commands_ns;
         Ok(tally)

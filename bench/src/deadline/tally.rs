@@ -36,7 +36,7 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    pub(super) fn of(cycles: &[Cycle], computes: bool) -> Self {
+    pub(super) fn from_cycles(cycles: &[Cycle], computes: bool) -> Self {
         let (mut times, mut causes) = (empty_times(), Causes::default());
         let mut after_miss = false;
         for cycle in cycles {
@@ -68,7 +68,7 @@ impl Tally {
         Self { counts, times }
     }
 
-    pub(super) fn of_cyclictest(of: &Latencies, deadline_ns: u64, late_ns: u64) -> Result<Self> {
+    pub(super) fn from_cyclictest(of: &Latencies, deadline_ns: u64, late_ns: u64) -> Result<Self> {
         let mut times = empty_times();
         times[WAKE].add(&of.histogram_ns)?;
         let counts = json!({
@@ -113,7 +113,7 @@ mod tests {
             cycle(20, 50, LateCause::Stall),
         ];
         cycles[6].skipped_periods = 1;
-        let tally = Tally::of(&cycles, true);
+        let tally = Tally::from_cycles(&cycles, true);
         let expected = json!({
             "cycles": 7, "late_starts": 2, "deadline_misses": 4, "own_misses": 2, "skipped_periods": 5,
             "causes": { "platform": 1, "load": 1, "fault": 1, "other": 1, "compute": 1 }, "run_delay_ms": 3.5,

@@ -23,7 +23,7 @@ pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
     let mut rows = Vec::new();
     for axis in ["budget", "swarm", "horizon"] {
         let mut of_axis = Vec::new();
-        for mut of_row in by_rows(found.of(axis)) {
+        for mut of_row in by_rows(found.get(axis)) {
             let row = together(&of_row, &["rounds".to_owned()]);
             for round in &mut of_row {
                 if let Some(mm) = number(round, "mean_error_mm") {
@@ -36,7 +36,7 @@ pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
         rows.extend_from_slice(&of_axis);
         dataset.add(axis, of_axis);
     }
-    let of_rounds = found.of(PROBLEMS);
+    let of_rounds = found.get(PROBLEMS);
     let problems = of_rounds.concat();
     let mut stuck = Vec::new();
     for field in Field::ALL {

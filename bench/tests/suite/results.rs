@@ -37,7 +37,7 @@ struct Choice {
 }
 
 impl Choice {
-    fn of(&self, result: &Value) -> ShownTable {
+    fn select(&self, result: &Value) -> ShownTable {
         let tables = match &self.benchmark {
             Some(name) => &result["tables"][name],
             None => &result["tables"],
@@ -158,7 +158,7 @@ fn with_tables(text: &str) -> String {
         let (_, rest) = rest.split_once(END).expect("an end of the table");
         let (file, choice) = begin.split_once(' ').expect("a file and a choice");
         let choice: Choice = serde_json::from_str(choice).expect("a choice");
-        let table = choice.of(&result(file)).markdown();
+        let table = choice.select(&result(file)).markdown();
         made += &[BEGIN, begin, " -->\n", table.trim_start(), END, rest].concat();
     }
     made

@@ -98,11 +98,11 @@ impl Drawings {
     ///
     /// # Errors
     /// [`CdrError`] when a message cannot be encoded; these messages always can.
-    pub fn of(&mut self, record: &Telemetry) -> Result<Vec<Drawing>, CdrError> {
+    pub fn encode(&mut self, record: &Telemetry) -> Result<Vec<Drawing>, CdrError> {
         let before = self.before.take();
         let before = before.filter(|before| before.header.sender_id == record.header.sender_id);
         if before.is_none() {
-            self.scene = Scene::of(record);
+            self.scene = Scene::from_record(record);
         }
         let mut drawings = self.log(record, before.as_deref())?;
         let picture = |record: &Telemetry| {

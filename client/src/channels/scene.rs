@@ -50,7 +50,7 @@ pub(super) struct Scene {
 
 impl Scene {
     /// For the robot of a record; `None` when its description is invalid.
-    pub(super) fn of(record: &Telemetry) -> Option<Self> {
+    pub(super) fn from_record(record: &Telemetry) -> Option<Self> {
         Some(Self {
             robot: robot_of(&record.robot).ok()?,
             length_m: section_lengths_m(&record.robot).iter().sum(),

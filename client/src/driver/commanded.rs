@@ -29,7 +29,7 @@ pub struct CommandedPosition {
 }
 
 impl CommandedPosition {
-    pub(super) fn of(command: &Command) -> Self {
+    pub(super) fn from_command(command: &Command) -> Self {
         Self {
             bend_rad: command.bend_target_rad,
             cable_length_m: command.cable_length_m,

@@ -131,7 +131,7 @@ impl CommandFollower {
     pub fn take(&mut self, command: &Command, now_ns: u64) -> Result<(), CommandRefusal> {
         let begin = self.position_at(now_ns);
         let offset = self.offset_of(command, begin.as_ref(), now_ns);
-        let commanded = CommandedPosition::of(command);
+        let commanded = CommandedPosition::from_command(command);
         let end = offset.map_or(commanded, |offset| commanded.plus(&offset));
         if let Err(refusal) = self.check(command, &end, begin.as_ref(), now_ns) {
             self.refusals += 1;
@@ -205,7 +205,7 @@ impl CommandFollower {
 
     /// Mean speed from `before` to `command`, as a share of the robot's largest one.
     fn commanded_share(&self, before: &Command, command: &Command) -> f64 {
-        let positions = [before, command].map(CommandedPosition::of);
+        let positions = [before, command].map(CommandedPosition::from_command);
         let [begin, end] = &positions;
         let takes_ns = command.target_ns.saturating_sub(before.target_ns).max(1);
         bounds::shortest_s(&self.robot, begin, end) * 1e9 / takes_ns as f64
@@ -226,7 +226,7 @@ impl CommandFollower {
         if self.interface != Interface::Position {
             return None;
         }
-        let commanded = CommandedPosition::of(command);
+        let commanded = CommandedPosition::from_command(command);
         if !present.is_of_sender(command) {
             return Some(standing.minus(&commanded));
         }
@@ -242,7 +242,7 @@ impl CommandFollower {
             };
         }
         let offset = present.offset?;
-        let way = commanded.minus(&CommandedPosition::of(&present.command));
+        let way = commanded.minus(&CommandedPosition::from_command(&present.command));
         let rest = offset.minus(&way);
         let holds = command.mode == Mode::Holding.code();
         Some(if holds && rest.size_rad() < offset.size_rad() {

@@ -74,7 +74,7 @@ struct State {
 }
 
 impl State {
-    fn of(record: &Telemetry, robot: &Robot) -> Option<Self> {
+    fn from_record(record: &Telemetry, robot: &Robot) -> Option<Self> {
         let width = robot.coordinate_count();
         let at = |bends: &[f64]| Configuration::from_slice(bends.get(..width)?);
         let lead_s = record.reference_lead_ns as f64 * 1e-9;
@@ -133,7 +133,7 @@ impl Computer {
             self.robot.fingerprint(),
         );
         check.same("period_ns", record.period_ns, self.period_ns);
-        let state = State::of(record, &self.robot).ok_or(ReplayError::Shape)?;
+        let state = State::from_record(record, &self.robot).ok_or(ReplayError::Shape)?;
         let solved = record.plan_length > 0;
         let is_homing = record.mode == Mode::Homing.code();
         let home_from = if is_homing { Some(state.at) } else { state.way };
@@ -331,7 +331,7 @@ impl Computer {
         if record.plan_length == 0 {
             return Ok(None);
         }
-        let state = State::of(record, &self.robot).ok_or(ReplayError::Shape)?;
+        let state = State::from_record(record, &self.robot).ok_or(ReplayError::Shape)?;
         let before = settings_of(&record.settings)?;
         let settings = settings_of(settings)?;
         // A plan of another shape is not a warm start.

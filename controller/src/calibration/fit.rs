@@ -118,7 +118,7 @@ pub(super) fn fit(
     let mut geometry = begin.clone();
     let white = whitened(&geometry, &geometry.checked().ok()?, rows, noise, robust);
     let offset = |geometry: &Geometry, index: usize| {
-        let parameter = super::Parameter::at(index);
+        let parameter = super::Parameter::from_index(index);
         (geometry.value(parameter) - configured.value(parameter)) / scale[index]
     };
     let cost = |geometry: &Geometry| {

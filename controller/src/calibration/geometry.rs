@@ -83,7 +83,7 @@ impl ParameterGroup {
 
 impl Parameter {
     /// The parameter at an index of the arrays of this module.
-    pub(super) fn at(index: usize) -> Self {
+    pub(super) fn from_index(index: usize) -> Self {
         let (section, part) = (index / PER_SECTION, index % PER_SECTION);
         match index {
             BASE.. => {

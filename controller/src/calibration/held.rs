@@ -71,7 +71,7 @@ pub(super) fn hold_undetermined(
         let mut combined = active.clone();
         combined.retain(|&index| share(index) >= COMPONENT_SHARE * largest);
         let first = combined.iter().copied().min_by(|&a, &b| {
-            let group = |index: usize| Parameter::at(index).group();
+            let group = |index: usize| Parameter::from_index(index).group();
             group(a).cmp(&group(b)).then(share(b).total_cmp(&share(a)))
         });
         let Some(first) = first else {
@@ -80,8 +80,8 @@ pub(super) fn hold_undetermined(
         active.retain(|&index| index != first);
         combined.retain(|&index| index != first);
         held.push(Held {
-            parameter: Parameter::at(first),
-            why: Why::Undetermined(combined.into_iter().map(Parameter::at).collect()),
+            parameter: Parameter::from_index(first),
+            why: Why::Undetermined(combined.into_iter().map(Parameter::from_index).collect()),
         });
     }
 }

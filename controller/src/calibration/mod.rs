@@ -238,14 +238,16 @@ impl Search {
     fn new(configured: &Geometry, rows: &[CalibrationRow], hold: &[ParameterGroup]) -> Self {
         let sections = configured.robot.sections.len();
         let is_turned = rows.iter().all(|row| row.tip_rotation.is_some());
-        let all = (0..PARAMETERS_MAX).map(Parameter::at).filter(|p| match p {
-            Parameter::Length(j)
-            | Parameter::CableRadius(j)
-            | Parameter::CableAngle(j)
-            | Parameter::CableZero(j, _) => *j < sections,
-            Parameter::SensorRotation(_) => is_turned,
-            _ => true,
-        });
+        let all = (0..PARAMETERS_MAX)
+            .map(Parameter::from_index)
+            .filter(|p| match p {
+                Parameter::Length(j)
+                | Parameter::CableRadius(j)
+                | Parameter::CableAngle(j)
+                | Parameter::CableZero(j, _) => *j < sections,
+                Parameter::SensorRotation(_) => is_turned,
+                _ => true,
+            });
         let (asked, active): (Vec<_>, Vec<_>) = all.partition(|p| hold.contains(&p.group()));
         let mut scale = [1.0; PARAMETERS_MAX];
         for parameter in asked.iter().chain(&active) {
@@ -295,7 +297,7 @@ impl Search {
     fn reset_held(&mut self, configured: &Geometry) {
         let mut kept = [0.0; PARAMETERS_MAX];
         for &index in &self.active {
-            let parameter = Parameter::at(index);
+            let parameter = Parameter::from_index(index);
             kept[index] = self.geometry.value(parameter) - configured.value(parameter);
         }
         self.geometry = configured.moved(&kept);
@@ -335,7 +337,7 @@ impl Search {
         let correlation = correlation(&white).sqrt();
         let spread = SHARE_95 * per_number.max(f64::MIN_POSITIVE).sqrt() * correlation;
         let estimates = self.active.iter().map(|&index| {
-            let parameter = Parameter::at(index);
+            let parameter = Parameter::from_index(index);
             Estimate {
                 parameter,
                 old: configured.value(parameter),

@@ -203,7 +203,7 @@ mod tests {
             assert!(
                 (difference - found).amax() < 1e-6 * found.amax().max(1.0),
                 "{}: {difference:?} {found:?}",
-                Parameter::at(index)
+                Parameter::from_index(index)
             );
         }
     }

@@ -144,7 +144,7 @@ impl ShortSeries {
 
     /// (f, g) at w.
     #[inline(always)]
-    pub(super) fn at(&self, w: f64) -> (f64, f64) {
+    pub(super) fn evaluate(&self, w: f64) -> (f64, f64) {
         let d = w - self.centre;
         let d2 = d * d;
         let sum = |c: &[f64; SHORT_TERMS]| {
@@ -372,7 +372,7 @@ mod tests {
             let short = ShortSeries::around([0.6 * bend_rad, -0.8 * bend_rad], change_rad).unwrap();
             for share in [-1.0, -0.5, 0.0, 0.3, 1.0] {
                 let w = (bend_rad + share * change_rad).powi(2);
-                let ((f, g), exact) = (short.at(w), Coefficients::from_square(w));
+                let ((f, g), exact) = (short.evaluate(w), Coefficients::from_square(w));
                 assert!((f - exact.f).abs() < 5e-16, "f at {w}: {f} {}", exact.f);
                 assert!((g - exact.g).abs() < 3e-16, "g at {w}: {g} {}", exact.g);
             }

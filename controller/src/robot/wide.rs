@@ -30,7 +30,7 @@ impl Robot {
         bend_rad: impl FnMut(usize) -> Wide<W>,
     ) -> [Wide<W>; 3] {
         let (tip, []) =
-            tip_wide::<W, 0, true>(self.sections(), bend_rad, |j, w| tip_series[j].at(w));
+            tip_wide::<W, 0, true>(self.sections(), bend_rad, |j, w| tip_series[j].evaluate(w));
         tip
     }
 

@@ -66,7 +66,8 @@ impl Summary {
         let periods = cycles.last().map_or(0, |cycle| cycle.release.cycle);
         let reported = || cycles.iter().filter_map(|cycle| cycle.interference);
         let is_reported = reported().next().is_some();
-        let run_delay = Percentiles::of(reported().map(|reported| reported.run_delay_ns))?;
+        let run_delay =
+            Percentiles::from_latencies(reported().map(|reported| reported.run_delay_ns))?;
         let page_faults = reported()
             .map(|reported| u64::from(reported.page_faults))
             .sum();
@@ -81,7 +82,7 @@ impl Summary {
             deadline_misses: totals.deadline_misses,
             skipped_periods: totals.skipped_periods,
             causes: causes(cycles),
-            wake: Percentiles::of(cycles.iter().map(BareCycle::wake_ns))?,
+            wake: Percentiles::from_latencies(cycles.iter().map(BareCycle::wake_ns))?,
             run_delay: is_reported.then_some(run_delay),
             page_faults: is_reported.then_some(page_faults),
             realtime: missing == 0,
@@ -113,7 +114,7 @@ fn names(missing: u32) -> Vec<&'static str> {
 }
 
 impl Percentiles {
-    fn of(latencies_ns: impl Iterator<Item = u64>) -> Result<Self> {
+    fn from_latencies(latencies_ns: impl Iterator<Item = u64>) -> Result<Self> {
         let mut histogram = latency::histogram(DIGITS)?;
         latencies_ns.for_each(|latency_ns| histogram.saturating_record(latency_ns));
         Ok(Self(latency::summary(&histogram)))

@@ -42,7 +42,7 @@ fn about(key: &Key, node: &Value, settings: &Settings) -> String {
         None => range,
     });
     let value_in_force = value(&settings.config, &key.name);
-    let origin = settings.origins.of(&key.name);
+    let origin = settings.origins.get(&key.name);
     let variable = key.default.as_ref().map(|_| keys::variable(&key.name));
     let facts = [
         ("type", kind(node).map(str::to_owned)),

@@ -65,14 +65,14 @@ impl Origins {
     }
 
     /// Origin of the value of `key`, which may have the form `robot.sections[1].length_m`.
-    pub fn of(&self, key: &str) -> Origin {
+    pub fn get(&self, key: &str) -> Origin {
         let set = self.set.get(key).or_else(|| self.set.get(whole(key)));
         set.cloned().unwrap_or(Origin::Default)
     }
 
     /// An error at the first of `keys` that was set, or else at the first.
     pub(super) fn error(&self, keys: &[&str], message: &str) -> ConfigError {
-        let set = keys.iter().find(|key| self.of(key) != Origin::Default);
+        let set = keys.iter().find(|key| self.get(key) != Origin::Default);
         self.place(keys).error(set.unwrap_or(&keys[0]), message)
     }
 
@@ -83,7 +83,7 @@ impl Origins {
 
     /// The place of the first of `keys` that was set, or else of the file.
     fn place(&self, keys: &[&str]) -> Origin {
-        let mut set = keys.iter().map(|key| self.of(key));
+        let mut set = keys.iter().map(|key| self.get(key));
         let whole = self.file.as_ref().map_or(Origin::Default, |file| {
             let (file, line) = (file.clone(), None);
             Origin::File { file, line }

@@ -22,7 +22,7 @@ pub enum RealtimeMode {
 
 impl RealtimeMode {
     /// The mode in force for a robot.
-    pub(super) fn of(self, robot: LinkKind) -> Self {
+    pub(super) fn resolved_for(self, robot: LinkKind) -> Self {
         match (self, robot) {
             (Self::Auto, LinkKind::Driver) => Self::Require,
             (Self::Auto, LinkKind::Simulated) => Self::Prefer,

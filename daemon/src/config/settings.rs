@@ -39,7 +39,7 @@ impl Settings {
         let truth = config.link.truth(&robot, &origins)?;
         let initial = config.link.initial(&robot, &origins)?;
         let kind = config.link.kind;
-        config.realtime.mode = config.realtime.mode.of(kind);
+        config.realtime.mode = config.realtime.mode.resolved_for(kind);
         config.obstacles.source_timeout_ms = config.obstacles.source_timeout_ms(kind);
         let location = config.transport.location(&origins)?;
         let group_id = config.transport.group_id(&origins)?;
@@ -58,7 +58,7 @@ impl Settings {
     pub fn changed(&self) -> Vec<(&'static str, String, String)> {
         let values = keys::values(&self.config);
         let changed = keys::settable().filter_map(|(key, default)| {
-            let (value, origin) = (keys::value(&values, key)?, self.origins.of(key));
+            let (value, origin) = (keys::value(&values, key)?, self.origins.get(key));
             let is_changed = value != default && origin != Origin::Default;
             is_changed.then(|| (key, keys::text(value), origin.to_string()))
         });

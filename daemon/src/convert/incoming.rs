@@ -26,7 +26,7 @@ impl Refused {
         Self { outcome, detail: 0 }
     }
 
-    pub fn at(outcome: Outcome, index: usize) -> Self {
+    pub fn at_index(outcome: Outcome, index: usize) -> Self {
         Self {
             outcome,
             detail: index as u32,
@@ -66,7 +66,7 @@ pub fn reference_points<'a>(
         .ok_or(Refused::whole(Outcome::CountOutOfRange))?;
     for (index, point) in points.iter().enumerate() {
         reference_point(point, interpolation, robot.reach_m(), now_ns)
-            .map_err(|outcome| Refused::at(outcome, index))?;
+            .map_err(|outcome| Refused::at_index(outcome, index))?;
     }
     let reach_m = robot.reach_m();
     Ok(points
@@ -133,7 +133,7 @@ fn orientation(point: &wire::ReferencePoint) -> Result<Orientation, Outcome> {
 pub fn trajectory_refusal(error: &TrajectoryError) -> Refused {
     match error {
         TrajectoryError::TimeNotIncreasing { index } => {
-            Refused::at(Outcome::TimeNotIncreasing, *index)
+            Refused::at_index(Outcome::TimeNotIncreasing, *index)
         }
         TrajectoryError::Full { .. } => Refused::whole(Outcome::BufferFull),
     }
@@ -172,7 +172,7 @@ pub fn measurement(
         return Err(Refused::whole(Outcome::OutOfRange));
     }
     let sane = |values: &[f64]| {
-        let refused = |outcome| move |index| Err(Refused::at(outcome, index));
+        let refused = |outcome| move |index| Err(Refused::at_index(outcome, index));
         let odd = values.iter().position(|value| !value.is_finite());
         odd.map_or(Ok(()), refused(Outcome::NotFinite))?;
         let far = values.iter().position(|value| value.abs() > MEASURED_MAX);
@@ -226,7 +226,7 @@ pub fn updated_obstacles(
     match action {
         codes::ObstacleAction::Upsert => {
             for (index, message) in given.iter().enumerate() {
-                let refused = |outcome| Refused::at(outcome, index);
+                let refused = |outcome| Refused::at_index(outcome, index);
                 let obstacle = obstacle(message, now_ns).map_err(refused)?;
                 let source = update.header.sender_id;
                 set.upsert(KnownObstacle { source, ..obstacle })
@@ -281,7 +281,7 @@ pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, 
         return Err(Outcome::InThePast);
     }
     // Its speed may have moved it out of range since its measurement.
-    let is_near = known.at(now_ns).is_some();
+    let is_near = known.advanced_to(now_ns).is_some();
     is_near.then_some(known).ok_or(Outcome::OutOfRange)
 }
 

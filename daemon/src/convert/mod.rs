@@ -229,7 +229,7 @@ mod tests {
                 lifetime_ns,
                 ..ball(1)
             };
-            obstacle(&moving, NOW_NS).map(|known| known.at(NOW_NS).unwrap().obstacle)
+            obstacle(&moving, NOW_NS).map(|known| known.advanced_to(NOW_NS).unwrap().obstacle)
         };
         for age_ns in [NOW_NS, 600_000_000_000, 1_000_000_001] {
             assert_eq!(taken(0.01, age_ns, 0), Err(Outcome::InThePast));

@@ -20,9 +20,9 @@ pub(super) struct CycleWatch {
 
 impl CycleWatch {
     /// Watches the thread with id `thread`; with `None`, `look` always returns `None`.
-    pub(super) fn at(thread: Option<u32>) -> Self {
+    pub(super) fn new(thread: Option<u32>) -> Self {
         Self {
-            scheduler: SchedulerDeltas::at(thread),
+            scheduler: SchedulerDeltas::new(thread),
             ..Self::default()
         }
     }

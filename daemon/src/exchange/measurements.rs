@@ -241,14 +241,14 @@ impl Measurements {
             && is_first
             && let Some(section) = robot.section_of_foreign_cables(lengths_m)
         {
-            return Err(Refused::at(Outcome::CableMean, 3 * section));
+            return Err(Refused::at_index(Outcome::CableMean, 3 * section));
         }
         // Later, a bend beyond its limit is a fault that names it.
         if let Measured::Configuration(bends) = &timed.measurement
             && is_first
             && let Some(index) = bends.as_slice().iter().position(|bend| bend.abs() > TAU)
         {
-            return Err(Refused::at(Outcome::BeyondTurn, index));
+            return Err(Refused::at_index(Outcome::BeyondTurn, index));
         }
         // A later driver of a robot that was measured is compared with where its last command left it.
         if is_first
@@ -261,7 +261,10 @@ impl Measurements {
                 arrival.now_ns,
             )
         {
-            return Err(Refused::at(Outcome::TipElsewhere, (1e3 * away_m) as usize));
+            return Err(Refused::at_index(
+                Outcome::TipElsewhere,
+                (1e3 * away_m) as usize,
+            ));
         }
         Ok(timed)
     }

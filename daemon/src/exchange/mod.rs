@@ -162,7 +162,7 @@ impl Exchange {
         // While the cycle thread rehearses and spins before a release, no other thread gets the core.
         let lead_ns = self.timing.gather_lead_ns + self.timing.spin_ns;
         let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
-        self.cycle_watch = CycleWatch::at(shared.cycle_thread());
+        self.cycle_watch = CycleWatch::new(shared.cycle_thread());
         loop {
             shared.exchange_beats.add(1);
             let gather_ns = schedule.release_ns(next_cycle) - lead_ns;

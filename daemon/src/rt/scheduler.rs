@@ -61,7 +61,7 @@ pub struct SchedulerDeltas {
 
 impl SchedulerDeltas {
     /// Reads the thread `id` of this process; with `None`, every reading is `None`.
-    pub fn at(id: Option<u32>) -> Self {
+    pub fn new(id: Option<u32>) -> Self {
         Self {
             reader: id.and_then(SchedulerReader::open),
             before: None,
@@ -119,7 +119,7 @@ mod tests {
 
     #[test]
     fn the_first_look_has_none_before_it() {
-        let mut deltas = SchedulerDeltas::at(Some(this_thread()));
+        let mut deltas = SchedulerDeltas::new(Some(this_thread()));
         if deltas.reader.is_none() {
             skip(Need::Kernel, "it counts no time of threads (schedstat)");
             return;
@@ -135,7 +135,7 @@ mod tests {
         );
         let delta = deltas.read().expect("it has looked before");
         assert!(delta.page_faults > 0, "those of {} bytes", touched.len());
-        assert_eq!(SchedulerDeltas::at(None).read(), None);
+        assert_eq!(SchedulerDeltas::new(None).read(), None);
     }
 
     #[test]

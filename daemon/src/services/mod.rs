@@ -65,11 +65,12 @@ pub enum ServiceError {
 
 /// Checks that a daemon has enough space at `location`.
 pub(crate) fn ask_for_space(location: &Location) -> Result<(), ServiceError> {
-    let room = ShmSpace::new(location.root(), &location.file_prefix());
+    let space = ShmSpace::new(location.root(), &location.file_prefix());
     // Files of a dead daemon are removed with it, and files of this process are already allocated.
-    let needed_bytes = daemon_bytes().saturating_sub(room.taken_bytes());
+    let needed_bytes = daemon_bytes().saturating_sub(space.taken_bytes());
     // Including the folders of nodes and services.
-    room.ask(needed_bytes, NODE_FILES + 2)
+    space
+        .ask(needed_bytes, NODE_FILES + 2)
         .map_err(|lack| ServiceError::Full {
             what: "the daemon".to_owned(),
             lack,
@@ -161,12 +162,12 @@ fn with_space<P>(
         let what = format!("the service {}", full_name(service, robot));
         ServiceError::Full { what, lack }
     };
-    let room = ShmSpace::of(node);
+    let space = ShmSpace::from_node(node);
     // The service has two files, and the node has a tag of it.
-    let ask = || room.ask(bytes + PORT_BYTES, PORT_FILES + 3).map_err(full);
+    let ask = || space.ask(bytes + PORT_BYTES, PORT_FILES + 3).map_err(full);
     ask()?;
     let port = create().or_else(|refused| ask().and(Err(refused)))?;
-    room.take().map_err(full)?;
+    space.take().map_err(full)?;
     Ok(port)
 }
 

@@ -55,7 +55,7 @@ impl ShmSpace {
         }
     }
 
-    pub(super) fn of(node: &Node<ipc::Service>) -> Self {
+    pub(super) fn from_node(node: &Node<ipc::Service>) -> Self {
         let global = &node.config().global;
         Self {
             root: PathBuf::from(global.root_path().to_string()),
@@ -125,12 +125,12 @@ mod tests {
         let _telemetry = telemetry(&node, "cdcr").unwrap();
         let _status = publisher::<Status>(&node, Service::Status, "cdcr").unwrap();
         let _incidents = incidents(&node, "cdcr").unwrap();
-        let room = ShmSpace::of(&node);
-        let sizes: u64 = room
+        let space = ShmSpace::from_node(&node);
+        let sizes: u64 = space
             .files()
             .map(|file| file.metadata().unwrap().len())
             .sum();
-        let taken_bytes = room.taken_bytes();
+        let taken_bytes = space.taken_bytes();
         assert!(taken_bytes >= sizes, "{taken_bytes} of {sizes}");
         let reported = daemon_bytes();
         assert!(
@@ -175,13 +175,13 @@ mod tests {
 
     #[test]
     fn what_nobody_has_is_refused_in_words() {
-        let room = ShmSpace::new(Path::new(Location::MEMORY), "");
-        let Some(free_bytes) = free_bytes(&room.root) else {
+        let space = ShmSpace::new(Path::new(Location::MEMORY), "");
+        let Some(free_bytes) = free_bytes(&space.root) else {
             return;
         };
-        let refused = room.ask(u64::MAX, 0).unwrap_err();
+        let refused = space.ask(u64::MAX, 0).unwrap_err();
         assert_eq!(refused.needed, u64::MAX);
-        assert!(room.ask(0, 0).is_ok());
+        assert!(space.ask(0, 0).is_ok());
         let free = refused.free;
         let what = "the daemon".to_owned();
         let error = ServiceError::Full {

@@ -124,7 +124,7 @@ impl Supervisor {
     pub fn set_realtime(&mut self, missing: u32, core: Option<usize>, clock: &impl Clock) {
         self.status.realtime_missing = missing;
         self.status.core = core.map_or(u32::MAX, |core| core as u32);
-        self.steal = Steal::of(core, clock);
+        self.steal = Steal::new(core, clock);
     }
 
     /// Supervises the threads until `is_over`; asks them to end when `should_end`. `desk` publishes the

@@ -55,7 +55,7 @@ pub(super) struct Steal {
 
 impl Steal {
     /// Reads the steal of `core`, or of all cores together.
-    pub(super) fn of(core: Option<usize>, clock: &impl Clock) -> Self {
+    pub(super) fn new(core: Option<usize>, clock: &impl Clock) -> Self {
         let mut steal = Self {
             reader: StealReader::open(core),
             ..Self::default()
@@ -186,7 +186,7 @@ mod tests {
     #[test]
     fn the_late_cycles_of_a_look_share_one_reading() {
         let clock = ManualClock::default();
-        let mut steal = Steal::of(None, &clock);
+        let mut steal = Steal::new(None, &clock);
         let window_ms = |stolen: Stolen| stolen.window_ns / MS;
         clock.sleep_until(20 * MS);
         steal.begin_check(&clock);

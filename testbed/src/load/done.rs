@@ -27,14 +27,14 @@ pub struct Done {
 impl Done {
     /// Names of the counts that this load should have raised and that are zero.
     pub fn missing(&self, load: Load) -> Vec<&'static str> {
-        let counts = self.of(load).into_iter();
+        let counts = self.of_load(load).into_iter();
         counts
             .filter(|(_, count)| *count == 0)
             .map(|(name, _)| name)
             .collect()
     }
 
-    fn of(&self, load: Load) -> Vec<(&'static str, u64)> {
+    fn of_load(&self, load: Load) -> Vec<(&'static str, u64)> {
         match load {
             Load::None => Vec::new(),
             Load::Cpu => vec![("spins", self.spins)],
@@ -52,9 +52,9 @@ impl Done {
                 Load::Clients,
                 Load::Flood,
             ]
-            .map(|part| self.of(part))
+            .map(|part| self.of_load(part))
             .concat(),
-            Load::CpuEverywhere => [self.of(Load::Cpu), self.of(Load::Memory)].concat(),
+            Load::CpuEverywhere => [self.of_load(Load::Cpu), self.of_load(Load::Memory)].concat(),
             Load::StressNg => vec![("stress_operations", self.stress_operations)],
         }
     }

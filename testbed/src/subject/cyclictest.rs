@@ -123,7 +123,7 @@ impl Running {
             self.process.output_tail()
         );
         each_ns.truncate(asked as usize);
-        Ok(Latencies::of(each_ns, self.period))
+        Ok(Latencies::from_times(each_ns, self.period))
     }
 }
 
@@ -147,7 +147,7 @@ pub struct Latencies {
 }
 
 impl Latencies {
-    fn of(each_ns: Vec<u64>, period: Duration) -> Self {
+    fn from_times(each_ns: Vec<u64>, period: Duration) -> Self {
         let mut histogram_ns = histogram();
         let period_ns = (period.as_nanos() as u64).max(1);
         for latency_ns in &each_ns {
@@ -173,7 +173,7 @@ impl Latencies {
             "a warm-up of {cycles} cycles leaves none of the {} cycles of cyclictest",
             self.cycles
         );
-        Ok(Self::of(
+        Ok(Self::from_times(
             self.each_ns.split_off(cycles as usize),
             self.period,
         ))
@@ -245,7 +245,7 @@ mod tests {
     #[test]
     fn every_cycle_is_read_and_the_periods_that_it_slept_through_are_counted() {
         assert_eq!(latencies_in(REPORTED).unwrap(), [85_045, 3_081_684, 36_681]);
-        let all = Latencies::of(latencies_in(REPORTED).unwrap(), PERIOD);
+        let all = Latencies::from_times(latencies_in(REPORTED).unwrap(), PERIOD);
         assert_eq!((all.cycles, all.skipped_periods), (3, 3));
         assert_eq!((all.histogram_ns.len(), all.later_than(85_045)), (3, 1));
         let warm = all.clone().without_first(2).unwrap();

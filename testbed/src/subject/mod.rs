@@ -41,7 +41,7 @@ pub struct Cycle {
 
 impl Cycle {
     /// The cycle of a daemon's record.
-    pub fn of(record: &Telemetry) -> Self {
+    pub fn from_record(record: &Telemetry) -> Self {
         let has = |flag: u32| record.timing_flags & flag != 0;
         let since_due_ns = |time_ns: u64| time_ns.saturating_sub(record.due_ns);
         let cause = LateCause::try_from(record.scheduling.late_cause);

@@ -72,13 +72,13 @@ fn memory() -> StatVfs {
 pub(crate) struct Filled(PathBuf);
 
 impl Filled {
-    fn at() -> PathBuf {
+    fn path() -> PathBuf {
         Path::new(Location::MEMORY).join("fill")
     }
 
     /// Takes all free memory but `kilobytes` kB.
     pub(crate) fn but_kilobytes(kilobytes: u64) -> Self {
-        let filled = Self(Self::at());
+        let filled = Self(Self::path());
         let file = File::create(&filled.0).unwrap();
         loop {
             let free = memory().f_bavail * memory().f_frsize;
@@ -94,7 +94,7 @@ impl Filled {
 
     /// Takes all free files but `files`.
     pub(crate) fn but_files(files: u64) -> Self {
-        let filled = Self(Self::at());
+        let filled = Self(Self::path());
         fs::create_dir(&filled.0).unwrap();
         // The daemon may still remove files of the previous client: three times the same number means that it
         // has finished.

@@ -67,7 +67,7 @@ fn a_second_has_thirty_pictures_and_what_happens_once() {
     let mut drawings = Drawings::new("trunk", 5);
     let mut all = Vec::new();
     for cycle in 0..200 {
-        all.extend(drawings.of(&record(cycle)).expect("encoded"));
+        all.extend(drawings.encode(&record(cycle)).expect("encoded"));
     }
     assert_eq!(of::<MarkerArray>(&all, Drawn::Scene).len(), 30);
     let log = of::<Log>(&all, Drawn::Log);
@@ -98,7 +98,7 @@ fn a_scene_shows_body_obstacles_and_the_gap_between() {
     let mut drawings = Drawings::new("trunk", 0);
     let mut all = Vec::new();
     for cycle in 0..20 {
-        all.extend(drawings.of(&record(cycle)).expect("encoded"));
+        all.extend(drawings.encode(&record(cycle)).expect("encoded"));
     }
     let scenes = of::<MarkerArray>(&all, Drawn::Scene);
     let markers = &scenes.last().expect("a scene").markers;
@@ -135,7 +135,7 @@ fn a_shape_that_is_no_number_is_not_drawn() {
     let mut bad = record(0);
     bad.present_rad[1] = f64::NAN;
     bad.position_error_m = f64::NAN;
-    let all = drawings.of(&bad).expect("encoded");
+    let all = drawings.encode(&bad).expect("encoded");
     let channels: Vec<_> = all.iter().map(|drawing| drawing.channel).collect();
     assert_eq!(channels, [Drawn::Log, Drawn::Cables]);
 }

@@ -81,7 +81,7 @@ struct Motors {
 }
 
 impl Motors {
-    fn at(places_rad: &[f64], ago_ms: usize) -> f64 {
+    fn delayed_rad(places_rad: &[f64], ago_ms: usize) -> f64 {
         places_rad[places_rad.len().saturating_sub(ago_ms + 1)]
     }
 
@@ -90,11 +90,12 @@ impl Motors {
         let lags_ms = self.actuator.time_constant_s * 1e3;
         let delay_ms = (self.actuator.delay_s * 1e3).round() as usize;
         for _ in 0..5 {
-            let next_rad = Self::at(&self.commanded_rad, 0) + self.scale * rate_rad_s * 1e-3;
+            let next_rad =
+                Self::delayed_rad(&self.commanded_rad, 0) + self.scale * rate_rad_s * 1e-3;
             self.commanded_rad.push(next_rad);
             let (to_rad, at_rad) = (
-                Self::at(&self.commanded_rad, delay_ms),
-                Self::at(&self.place_rad, 0),
+                Self::delayed_rad(&self.commanded_rad, delay_ms),
+                Self::delayed_rad(&self.place_rad, 0),
             );
             self.place_rad
                 .push(to_rad + (at_rad - to_rad) * (-1.0 / lags_ms).exp());
@@ -156,13 +157,16 @@ fn farther_rad(
     let (mut state, mut farther_rad) = (7, 0.0_f64);
     for cycle in 0..1000 {
         let noise_rad = 1e-3 * noise(&mut state);
-        let bends = [Motors::at(&motors.place_rad, AGE_MS) + noise_rad, 0.0];
+        let bends = [
+            Motors::delayed_rad(&motors.place_rad, AGE_MS) + noise_rad,
+            0.0,
+        ];
         let measured = Measurement::Configuration(Configuration::from_slice(&bends).unwrap());
         let age_s = AGE_MS as f64 * 1e-3;
         if let Some(ages_s) = stated(cycle) {
             estimators[1].rested(&robot, &measured, age_s, &ages_s, false);
         }
-        let truth_rad = Motors::at(&motors.place_rad, 0);
+        let truth_rad = Motors::delayed_rad(&motors.place_rad, 0);
         let turn_s = cycle as f64 * PERIOD_S;
         let rate_rad_s = RATE_RAD_S * (core::f64::consts::TAU * hertz * turn_s).sin();
         let errors_rad = estimators.each_mut().map(|estimator| {

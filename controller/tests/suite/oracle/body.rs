@@ -46,12 +46,12 @@ pub(super) fn arcs(parameters: &RobotParameters, bends_rad: &[f64]) -> Vec<Arc> 
 impl Arc {
     /// End of the arc (m).
     pub(super) fn end_m(&self) -> Vector3<f64> {
-        self.at(self.length_m).0
+        self.point_and_tangent(self.length_m).0
     }
 
     /// The point at `s_m` along the arc, and the tangent there. With an angle α, the chord to the point has
     /// the length 2 ρ sin(α/2) and half that angle to the tangent at the base.
-    pub(super) fn at(&self, s_m: f64) -> (Vector3<f64>, Vector3<f64>) {
+    pub(super) fn point_and_tangent(&self, s_m: f64) -> (Vector3<f64>, Vector3<f64>) {
         let angle = self.bend_rad * s_m / self.length_m;
         let (sin, cos) = (0.5 * angle).sin_cos();
         let chord_m = if angle > 0.0 {
@@ -77,7 +77,7 @@ impl Arc {
         let curvature = self.bend_rad / self.length_m;
         let mut nearest = (f64::INFINITY, 0.0);
         let mut look = |s_m: f64| {
-            let (point_m, tangent) = self.at(s_m);
+            let (point_m, tangent) = self.point_and_tangent(s_m);
             let (distance_m, away) = ball.distance_m(point_m);
             if distance_m < nearest.0 {
                 nearest = (distance_m, s_m);
@@ -107,7 +107,7 @@ impl Arc {
 
     /// The clearance of one point of the section, and around it (m).
     pub(super) fn clearance_at_m(&self, ball: &Ball, s_m: f64) -> f64 {
-        ball.distance_m(self.at(s_m).0).0 - self.body_radius_m - ball.radius_m
+        ball.distance_m(self.point_and_tangent(s_m).0).0 - self.body_radius_m - ball.radius_m
     }
 }
 
@@ -207,7 +207,7 @@ mod tests {
                     -u, -v, 0.0, arc.length_m,
                     0.0, 0.0, 0.0, 0.0,
                 );
-                let (point_m, tangent) = arc.at(share * arc.length_m);
+                let (point_m, tangent) = arc.point_and_tangent(share * arc.length_m);
                 let there: Matrix4<f64> = pose * exponential(twist * share);
                 prop_assert!((there.fixed_view::<3, 1>(0, 3) - point_m).norm() < 1e-14);
                 prop_assert!((there.fixed_view::<3, 1>(0, 2) - tangent).norm() < 1e-14);
@@ -233,7 +233,7 @@ mod tests {
                 velocity_m_s: Vector3::zeros(),
             };
             let least_m = (0..=SAMPLES)
-                .map(|i| ball.distance_m(arc.at(arc.length_m * f64::from(i) / f64::from(SAMPLES)).0).0)
+                .map(|i| ball.distance_m(arc.point_and_tangent(arc.length_m * f64::from(i) / f64::from(SAMPLES)).0).0)
                 .fold(f64::INFINITY, f64::min);
             let (clearance_m, s_m) = arc.nearest_m(&ball, f64::INFINITY, WITHIN_M);
             prop_assert_eq!(clearance_m, arc.clearance_at_m(&ball, s_m));

@@ -270,7 +270,8 @@ impl Draw {
                 let away_m = parameters.sections[section].body_radius_m
                     + radius_m
                     + self.between(nearest_m, nearest_m + 0.06);
-                let middle_m = arcs[section].at(length_m * self.share()).0 + side * away_m;
+                let middle_m =
+                    arcs[section].point_and_tangent(length_m * self.share()).0 + side * away_m;
                 let span_m = if self.chance(0.5) {
                     side.cross(&self.direction()) * self.between(0.0, 0.4)
                 } else {

@@ -132,11 +132,11 @@ fn run(link: &str) {
 /// Checks that the actions had effects; otherwise the run proves nothing.
 fn assert_it_happened(tally: &Tally, has_driver: bool, duration: Duration) {
     for (action, _) in ROUND {
-        let happened = tally.of(&format!("action: {action:?}")) > 0;
+        let happened = tally.get(&format!("action: {action:?}")) > 0;
         let possible = has_driver || !action.needs_driver();
         assert!(happened == possible, "{action:?} did not happen");
     }
-    let with_lease = tally.of("bad or late points: with the lease");
+    let with_lease = tally.get("bad or late points: with the lease");
     assert!(with_lease > 0 || duration < KINDS_TAKE);
 }
 

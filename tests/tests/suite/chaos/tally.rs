@@ -14,7 +14,7 @@ impl Tally {
         *counts.entry(what.into()).or_default() += 1;
     }
 
-    pub(crate) fn of(&self, what: &str) -> u64 {
+    pub(crate) fn get(&self, what: &str) -> u64 {
         let counts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         counts.get(what).copied().unwrap_or(0)
     }

@@ -286,7 +286,7 @@ fn a_thread_that_panics_ends_with_70() {
     );
     let validated = Config::parse(&configuration, &place.folder().join("robot.toml")).unwrap();
     let error = run_until(&validated, || false, |_| panic!("a test of panics")).unwrap_err();
-    assert_eq!(ExitCause::of(&error), ExitCause::Panicked);
+    assert_eq!(ExitCause::from_error(&error), ExitCause::Panicked);
     assert!(error.to_string().contains("cdcr-cycle panicked"), "{error}");
     assert_eq!(place.memory_files(), Vec::<PathBuf>::new());
 }

@@ -24,7 +24,7 @@ pub(super) struct Crowd {
 }
 
 impl Crowd {
-    pub(super) fn of(location: &Location) -> Self {
+    pub(super) fn connect(location: &Location) -> Self {
         let mut connections = Vec::new();
         loop {
             match Connection::open(location, ROBOT) {
@@ -50,7 +50,7 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_stop_out() {
     let daemon = Daemon::start(PATIENT);
     let mut telemetry = daemon.connect().telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
-    let crowd = Crowd::of(daemon.place().location());
+    let crowd = Crowd::connect(daemon.place().location());
     println!(
         "{} connections, {} ask",
         crowd.connections.len(),
@@ -111,7 +111,7 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_driver_out() {
         "{PATIENT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n"
     ));
     let location = daemon.place().location();
-    let crowd = Crowd::of(location);
+    let crowd = Crowd::connect(location);
     let mut telemetry = crowd.connections[0].telemetry().unwrap();
     let connect = || Driver::connect(location, ROBOT, Interface::Velocity);
     // A lost client, and the one that replaces it before it has gone.
@@ -142,7 +142,7 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_driver_out() {
 fn clients_that_try_to_connect_again_and_again_keep_no_driver_out() {
     let daemon = Daemon::start("[link]\nkind = \"driver\"\n");
     let location = daemon.place().location();
-    let _crowd = Crowd::of(location);
+    let _crowd = Crowd::connect(location);
     let _first = Driver::connect(location, ROBOT, Interface::Velocity).unwrap();
     let ending = AtomicBool::new(false);
     std::thread::scope(|scope| {

@@ -206,7 +206,7 @@ impl StopRow {
             });
             connection.prepare_requests().unwrap();
             // Its clients need a long time to connect beside floods.
-            let _crowd = (self.beside == Beside::Crowd).then(|| Crowd::of(place.location()));
+            let _crowd = (self.beside == Beside::Crowd).then(|| Crowd::connect(place.location()));
             let mut stage = Stage {
                 daemon: &daemon,
                 connection: &connection,

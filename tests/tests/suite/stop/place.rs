@@ -168,7 +168,7 @@ struct Flood {
 }
 
 impl Flood {
-    fn of(daemon: &Daemon) -> Self {
+    fn start(daemon: &Daemon) -> Self {
         let name = daemon.place().location().daemon_name(ROBOT);
         let address = SocketAddr::from_abstract_name(name).unwrap();
         let is_over = Arc::new(AtomicBool::new(false));
@@ -201,7 +201,7 @@ impl Drop for Flood {
 fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services() {
     let mut daemon = Daemon::start(PATIENT);
     let location = daemon.place().location().clone();
-    let flood = Flood::of(&daemon);
+    let flood = Flood::start(&daemon);
     wait_until("nobody is answered", || {
         location.name_holder(ROBOT) == NameHolder::Foreign
     });

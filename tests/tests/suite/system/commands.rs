@@ -305,8 +305,11 @@ fn a_weight_that_is_probably_not_meant_is_a_warning() {
     let warning = "warning: rate_weight = 1e12: usual is 0 to 0.01";
     for words in [&["settings", "set", "rate_weight=1e12"][..], &["settings"]] {
         let output = daemon.place().cdcrctl(words);
-        let said = text(&output);
-        assert!(output.status.success() && said.contains(warning), "{said}");
+        let printed = text(&output);
+        assert!(
+            output.status.success() && printed.contains(warning),
+            "{printed}"
+        );
     }
 }
 

@@ -40,11 +40,11 @@ struct Recording {
 impl Recording {
     /// A daemon with this configuration that tracks `curve` past `known`.
     fn make(configuration: &str, known: &[cdcr_shared_types::Obstacle], curve: &dyn Curve) -> Self {
-        Self::of(&Daemon::start(configuration), known, curve)
+        Self::record(&Daemon::start(configuration), known, curve)
     }
 
     /// This daemon tracks `curve` past `known`.
-    fn of(daemon: &Daemon, known: &[cdcr_shared_types::Obstacle], curve: &dyn Curve) -> Self {
+    fn record(daemon: &Daemon, known: &[cdcr_shared_types::Obstacle], curve: &dyn Curve) -> Self {
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
         let sender = connection.obstacle_sender().unwrap();
@@ -279,7 +279,7 @@ fn cycles_of_a_robot_whose_tip_is_beside_its_bends_are_computed_again_bit_for_bi
         scope.spawn(drive);
         let connection = daemon.connect();
         wait_mode(&mut connection.telemetry().unwrap(), Mode::Holding);
-        Recording::of(&daemon, &in_the_way(), &Line::for_sections(&[0.3; 3]))
+        Recording::record(&daemon, &in_the_way(), &Line::for_sections(&[0.3; 3]))
     });
     let is_beside =
         |record: &&Telemetry| record.plan_length > 0 && largest(&record.tip_offset_m) > 1e-3;

@@ -429,7 +429,7 @@ impl Recorder {
 
     /// Writes the drawings of a record.
     fn draw(&mut self, record: &Telemetry) -> io::Result<()> {
-        let drawings = self.drawings.of(record).map_err(io::Error::other)?;
+        let drawings = self.drawings.encode(record).map_err(io::Error::other)?;
         for Drawing { channel, data } in drawings {
             self.drawn[channel as usize] += 1;
             let number = self.drawn[channel as usize];
