@@ -287,11 +287,11 @@ mod tests {
             now: Cell::new(0),
             late,
         };
-        let room = recorder.cycles.capacity();
+        let capacity = recorder.cycles.capacity();
         let mut schedule = Schedule::new(0, 5 * MS);
         let mut deltas = SchedulerDeltas::default();
         recorder.run(&mut schedule, &clock, &mut deltas, &AtomicBool::new(ending));
-        assert_eq!(recorder.cycles.capacity(), room, "nothing is allocated");
+        assert_eq!(recorder.cycles.capacity(), capacity, "nothing is allocated");
         recorder
     }
 

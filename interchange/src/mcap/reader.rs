@@ -162,8 +162,8 @@ impl<R: Read> Reader<R> {
             let (opcode, data) = match self.events.next_event() {
                 None => break,
                 Some(Ok(LinearReadEvent::ReadRequest(count))) => {
-                    let room = self.events.insert(count);
-                    let count = self.input.read(room)?;
+                    let buffer = self.events.insert(count);
+                    let count = self.input.read(buffer)?;
                     self.events.notify_read(count);
                     continue;
                 }
