@@ -1,5 +1,8 @@
 //! Checks whether the robot's model reaches the points of a reference before anything moves, with the bend
 //! limits only. The dry run covers rates, strokes and obstacles.
+//!
+//! The tip offset is that of the present pose. It differs from pose to pose, by millimetres to centimetres where lengths or radii of the
+//! configuration are wrong, so it may decide about a point at the edge of the reach; both answers say so.
 
 use anyhow::bail;
 use cdcr_client::Trajectory;
@@ -25,6 +28,8 @@ pub(crate) fn check(
     allowed_m: f64,
 ) -> anyhow::Result<()> {
     let (robot, mut shape) = robot_and_pose(record)?;
+    let mut unmoved = shape;
+    let mut is_sure = true;
     let offset_m = Vector3::from(record.tip_offset_m);
     let duration_s = trajectory.duration_s();
     let even = |k: usize| duration_s * k as f64 / (POINTS_MAX - 1) as f64;
@@ -42,14 +47,20 @@ pub(crate) fn check(
         );
         if left_m > allowed_m {
             bail!(
-                "not reachable: at {time_s:.2} s {}, the first point that is missed by more than {} mm (--max-error){}; nothing moved",
+                "not reachable: at {time_s:.2} s {}, the first point that is missed by more than {} mm (--max-error){}{}; nothing moved",
                 away(left_m, point_m),
                 1e3 * allowed_m,
-                limit(&robot, &found)
+                limit(&robot, &found),
+                doubt(record, left_m - allowed_m)
             );
         }
         shape = found;
+        if is_sure {
+            let (found, left_m) = nearest(&robot, &unmoved, &point_m.into(), allowed_m);
+            (unmoved, is_sure) = (found, left_m <= allowed_m);
+        }
     }
+    note(record, is_sure);
     Ok(())
 }
 
@@ -64,18 +75,49 @@ pub(crate) fn check_point(
     let (away_m, reach_m) = (modelled_m.norm(), robot.reach_m());
     if away_m > reach_m + allowed_m {
         bail!(
-            "not reachable: the point is {away_m:.3} m from the base, and the robot is {reach_m:.3} m long; nothing moved"
+            "not reachable: the point is {away_m:.3} m from the base, and the robot is {reach_m:.3} m long{}; nothing moved",
+            doubt(record, away_m - reach_m - allowed_m)
         );
     }
     let (found, left_m) = nearest(&robot, &shape, &modelled_m, allowed_m);
     if left_m > allowed_m {
         bail!(
-            "not reachable: {}{}; nothing moved",
+            "not reachable: {}{}{}; nothing moved",
             away(left_m, point_m),
-            limit(&robot, &found)
+            limit(&robot, &found),
+            doubt(record, left_m - allowed_m)
         );
     }
+    let (_, left_m) = nearest(&robot, &shape, &point_m.into(), allowed_m);
+    note(record, left_m <= allowed_m);
     Ok(())
+}
+
+/// What to add to a refusal where the offset of another pose, as large as the present one may be, makes up for `beyond_m`.
+fn doubt(record: &Telemetry, beyond_m: f64) -> String {
+    if beyond_m > record.tip_margin_m {
+        return String::new();
+    }
+    format!(
+        ". The measured tip decides: it is {:.1} mm from where the bends place it in the present pose, and elsewhere in others. Bring the tip nearer \
+         (cdcrctl goto) and repeat, or allow a larger --max-error; cdcrctl calibrate geometry makes it smaller",
+        offset_mm(record)
+    )
+}
+
+/// Says where a reference is within reach by the present offset only.
+fn note(record: &Telemetry, is_sure: bool) {
+    if !is_sure {
+        tell!(
+            "note: this is at the edge of the reach, and only within it if the measured tip stays {:.1} mm from where the bends place it, as in the \
+             present pose: elsewhere the tip may stay away",
+            offset_mm(record)
+        );
+    }
+}
+
+fn offset_mm(record: &Telemetry) -> f64 {
+    1e3 * Vector3::from(record.tip_offset_m).norm()
 }
 
 /// Names the bend limit that keeps the tip from getting nearer than in the configuration `found`.
@@ -217,5 +259,33 @@ mod tests {
             "{text}"
         );
         assert_eq!(limit(&robot, &straight), "");
+    }
+
+    #[test]
+    fn a_refusal_says_where_the_offset_of_this_pose_decides() {
+        let mut record = Telemetry {
+            tip_margin_m: 0.0157,
+            tip_offset_m: [0.0, 0.0, -0.015],
+            ..Telemetry::default()
+        };
+        record.robot.sections = 1;
+        (
+            record.robot.cable_speed_max_m_s,
+            record.robot.cable_stroke_max_m,
+        ) = (1.0, 0.2);
+        let section = &mut record.robot.section[0];
+        (section.length_m, section.cable_radius_m) = (0.3, 0.02);
+        (section.bend_max_rad, section.rate_max_rad_s) = (2.5, 4.0);
+        for (z_m, is_refused, is_in_doubt) in [
+            (0.285, false, false),
+            (0.295, true, true),
+            (0.305, true, false),
+        ] {
+            let checked = check_point(&record, [0.0, 0.0, z_m], 1e-3);
+            let text = checked.map_or_else(|error| error.to_string(), |()| String::new());
+            assert_eq!(!text.is_empty(), is_refused, "{z_m}: {text}");
+            let decides = "The measured tip decides: it is 15.0 mm from";
+            assert_eq!(text.contains(decides), is_in_doubt, "{z_m}: {text}");
+        }
     }
 }
