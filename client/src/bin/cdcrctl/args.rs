@@ -329,8 +329,11 @@ pub(crate) struct StatusOptions {
     /// Update every second, until interrupted
     #[arg(long)]
     pub(crate) watch: bool,
+    /// Fail where the robot cannot be moved: it is stopped, faulted, or not measured yet
+    #[arg(long, conflicts_with = "watch")]
+    pub(crate) check: bool,
     /// Reset the statistics, print nothing; a stopped robot stays stopped (see cdcrctl reset)
-    #[arg(long, conflicts_with_all = ["watch", "format"])]
+    #[arg(long, conflicts_with_all = ["watch", "format", "check"])]
     pub(crate) reset_statistics: bool,
 }
 

@@ -3,6 +3,7 @@ use std::io::{IsTerminal as _, Write as _};
 use std::thread;
 use std::time::Duration;
 
+use anyhow::bail;
 use cdcr_client::{
     Connection, PoseDifference, counted, monotonic_ns, realtime_missing, reason_remedy, text,
 };
@@ -45,6 +46,9 @@ pub(crate) fn run(target: &Target, options: &StatusOptions) -> anyhow::Result<Do
         Format::Json => serde_json::to_string_pretty(&object(&status))? + "\n",
     };
     std::io::stdout().write_all(shown.as_bytes())?;
+    if let Some(remedy) = status_remedy(&status).filter(|_| options.check) {
+        bail!("the daemon is {}. {remedy}", Mode::text_of(status.mode));
+    }
     Ok(Done::Good)
 }
 

@@ -194,9 +194,13 @@ fn a_zero_that_a_tip_sensor_contradicts_is_accepted_by_no_reset() {
     }
     sense();
     place.checked("cdcrctl status", 0, &["mm away", remedy]);
+    let error = "error: the daemon is faulted. ";
+    place.checked("cdcrctl status --check", 1, &[error]);
     // The sensor has ended.
     wait_until("its second is over", || refused_by(Reason::PoseDiffers));
     place.checked("cdcrctl reset --accept-pose", 0, &["accepted"]);
+    wait_status(&connection, |status| status.mode == Mode::Holding.code());
+    place.checked("cdcrctl status --check --format json", 0, &["holding"]);
 }
 
 /// The daemon is started again, too: the next one does not know where the last command led, and asks all the same.
