@@ -94,7 +94,7 @@ def _widen(ax: Axes3D) -> None:
 
 
 def _axes(ax: Axes | None) -> Axes:
-    return plt.figure(figsize=(7, 4)).add_subplot() if ax is None else ax
+    return plt.figure(figsize=(7, 4), layout="constrained").add_subplot() if ax is None else ax
 
 
 def _shown(source: Source, seconds: float) -> _Shown:

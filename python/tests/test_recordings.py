@@ -62,6 +62,19 @@ def test_a_recording_is_a_dictionary_of_structured_arrays(recording: Path) -> No
     assert status["robot_name"] == "cdcr"
 
 
+def test_all_words_of_a_figure_are_in_it() -> None:
+    robot = cdcr.Robot.paper(1)
+    simulation = cdcr.simulate(robot, cdcr.Trajectory.line(robot), duration_s=0.1)
+    for draw in (plot.timing, plot.error):
+        ax = draw(simulation)
+        ax.figure.canvas.draw()
+        picture = ax.figure.bbox
+        for word in (ax.xaxis.label, ax.yaxis.label, *([ax.title] if ax.get_title() else [])):
+            box = word.get_window_extent()
+            assert picture.x0 <= box.x0 and box.x1 <= picture.x1, word
+            assert picture.y0 <= box.y0 and box.y1 <= picture.y1, word
+
+
 @pytest.mark.parametrize("sections", [1, 3, 6])
 def test_no_words_of_a_path_lie_over_others(sections: int) -> None:
     robot = cdcr.Robot.paper(sections)
