@@ -44,7 +44,7 @@ pub struct FileTrajectory {
 /// A problem with its line.
 type Located = (Option<u64>, Problem);
 
-fn at(line: u64) -> impl FnOnce(Problem) -> Located {
+fn in_line(line: u64) -> impl FnOnce(Problem) -> Located {
     move |problem| (Some(line), problem)
 }
 
@@ -105,7 +105,7 @@ impl FileTrajectory {
         if header.is_empty() {
             return Err((None, Problem::Empty));
         }
-        let columns = Columns::find(header).map_err(at(1))?;
+        let columns = Columns::find(header).map_err(in_line(1))?;
         check_end(text, header)?;
         let mut trajectory = Self {
             name: path.display().to_string(),
@@ -118,7 +118,7 @@ impl FileTrajectory {
             let row = columns.row(&record);
             let line = line_of(record.position(), text);
             row.and_then(|row| trajectory.push(&row))
-                .map_err(at(line))?;
+                .map_err(in_line(line))?;
         }
         trajectory.finish().map_err(|problem| (None, problem))
     }

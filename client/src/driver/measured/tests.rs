@@ -6,7 +6,7 @@ use super::*;
 
 const LATE_NS: u64 = 1_000_000 * BENDS_LATE_MS as u64;
 
-fn of(kind: MeasurementKind) -> Measurement {
+fn measured_as(kind: MeasurementKind) -> Measurement {
     Measurement {
         kind: kind.code(),
         ..Measurement::default()
@@ -15,7 +15,7 @@ fn of(kind: MeasurementKind) -> Measurement {
 
 #[test]
 fn a_first_position_waits_for_bends_that_follow_a_tip() {
-    let tip = of(MeasurementKind::TipPose);
+    let tip = measured_as(MeasurementKind::TipPose);
     assert!(!Measured::default().may_begin(u64::MAX));
     let measured = Measured::default().with(&tip, 1_000);
     assert!(!measured.may_begin(1_000));
@@ -25,7 +25,7 @@ fn a_first_position_waits_for_bends_that_follow_a_tip() {
         MeasurementKind::Configuration,
         MeasurementKind::CableLengths,
     ] {
-        assert!(measured.with(&of(kind), 2_000).may_begin(2_000));
+        assert!(measured.with(&measured_as(kind), 2_000).may_begin(2_000));
     }
     // A robot of which only the tip is measured.
     assert!(measured.may_begin(1_000 + LATE_NS));
@@ -38,9 +38,9 @@ fn a_tip_does_not_replace_the_bends_that_a_first_position_must_match() {
         sections: 1,
         ..RobotDescription::default()
     };
-    let mut bent = of(MeasurementKind::Configuration);
+    let mut bent = measured_as(MeasurementKind::Configuration);
     bent.bend_rad[0] = 0.4;
-    let tip = of(MeasurementKind::TipPose);
+    let tip = measured_as(MeasurementKind::TipPose);
     let measured = Measured::default()
         .with(&tip, 1)
         .with(&bent, 2)
