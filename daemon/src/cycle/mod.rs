@@ -260,7 +260,6 @@ impl Cycle {
         }
         let safe = self.make_safe(&desired_rates, comes_to_rest);
         self.note_latch(mode_before, &release);
-        self.clearance = self.present_clearance(safe.clearance_m);
         self.command(release.release_ns, safe.rates);
         let handed_over_ns = clock.now_ns();
         let lateness = self

@@ -6,7 +6,7 @@ use cdcr_controller::safety::{Lag, Reason, SafeCommand, Situation, safe_command}
 use super::Cycle;
 
 impl Cycle {
-    /// Applies the limits and the clearance guard to every command, in every mode.
+    /// Applies the limits and the clearance guard to every command, in every mode, and notes the clearance.
     pub(super) fn make_safe(
         &mut self,
         desired_rates: &BendRates,
@@ -16,6 +16,7 @@ impl Cycle {
         if safe.limits_hit.non_finite {
             self.modes.fault(Reason::NonFinite);
         }
+        self.clearance = self.present_clearance(safe.clearance_m);
         safe
     }
 
