@@ -31,6 +31,9 @@ class _Shown:
     tip_m: Doubles
     reference_m: Doubles
     error_m: Doubles
+    measured_s: Doubles
+    measured_error_m: Doubles
+    unused_percent: float
     took_s: Doubles
     took: str
     deadline_s: float | None = None
@@ -56,13 +59,20 @@ def path(source: Source, *, seconds: float = 2.0, ax: Axes3D | None = None) -> A
 
 
 def error(source: Source, *, seconds: float = 2.0, ax: Axes | None = None, label: str | None = None) -> Axes:
-    """Distance of the tip from its reference against time."""
+    """Distance of the tip from its reference against time; of telemetry with a tip sensor also as measured, and how long that was not in use."""
     shown = _shown(source, seconds)
     ax = _axes(ax)
-    ax.semilogy(shown.time_s, 1e3 * np.maximum(shown.error_m, 1e-18), linewidth=1, label=label)
+    words = [label] if label is not None else []
+    if shown.unused_percent > 0:
+        words.append(f"by the model (measured tip not in use: {shown.unused_percent:.1f} % of the time)")
+    elif len(shown.measured_s):
+        words.append("estimated")
+    ax.semilogy(shown.time_s, 1e3 * np.maximum(shown.error_m, 1e-18), linewidth=1, label=", ".join(words) or None)
+    if len(shown.measured_s):
+        ax.semilogy(shown.measured_s, 1e3 * np.maximum(shown.measured_error_m, 1e-18), ".", markersize=2, label="as measured")
     ax.set(xlabel="time [s]", ylabel="position error [mm]")
     ax.grid(alpha=0.3)
-    if label is not None:
+    if words:
         ax.legend()
     return ax
 
@@ -108,6 +118,9 @@ def _shown(source: Source, seconds: float) -> _Shown:
             tip_m=source.tip_position_m,
             reference_m=source.reference_position_m,
             error_m=source.position_error_m,
+            measured_s=np.empty(0),
+            measured_error_m=np.empty(0),
+            unused_percent=0.0,
             took_s=source.solve_s,
             took="solve, safety checks and simulated robot",
         )
@@ -123,6 +136,8 @@ def _shown(source: Source, seconds: float) -> _Shown:
     # Without a reference the error is not a number, and the position of none is zero.
     has_reference = np.isfinite(source["position_error_m"])
     sections = int(source["robot"]["sections"][0])
+    measured_ns, measured_error_m = _measured_error(source, has_reference)
+    unused = source["tip_cause"][has_reference] != 0
     return _Shown(
         robot=_robot(source["robot"][0]),
         time_s=1e-9 * (source["release_ns"] - source["release_ns"][0]).astype(float),
@@ -130,10 +145,31 @@ def _shown(source: Source, seconds: float) -> _Shown:
         tip_m=source["tip_position_m"],
         reference_m=np.where(has_reference[:, None], source["reference"]["position_m"], np.nan),
         error_m=np.where(has_reference, source["position_error_m"], np.nan),
+        measured_s=1e-9 * (measured_ns - float(source["release_ns"][0])),
+        measured_error_m=measured_error_m,
+        unused_percent=100 * float(unused.mean()) if len(unused) else 0.0,
         took_s=1e-9 * (source["handed_over_ns"] - source["due_ns"]).astype(float),
         took="response time",
         deadline_s=1e-9 * float(source["deadline_ns"][-1]),
     )
+
+
+def _measured_error(source: Records, has_reference: np.ndarray) -> tuple[Doubles, Doubles]:
+    """When the tip was measured [ns], and how far from where its reference was then."""
+    tip_ns = source["tip_measured_ns"]
+    new = np.flatnonzero(np.diff(tip_ns, prepend=tip_ns[:1]) > 0)
+    release_ns = source["release_ns"]
+    after = np.searchsorted(release_ns, tip_ns[new])
+    inside = (after > 0) & (after < len(source))
+    new, after = new[inside], after[inside]
+    kept = has_reference[after] & has_reference[after - 1]
+    new, after = new[kept], after[kept]
+    times_ns = tip_ns[new].astype(float)
+    from_ns, to_ns = release_ns[after - 1].astype(float), release_ns[after].astype(float)
+    share = ((times_ns - from_ns) / (to_ns - from_ns))[:, None]
+    reference_m = source["reference"]["position_m"]
+    then_m = (1 - share) * reference_m[after - 1] + share * reference_m[after]
+    return times_ns, np.linalg.norm(source["tip_measured_m"][new] - then_m, axis=1)
 
 
 def _robot(robot: np.void) -> Robot:

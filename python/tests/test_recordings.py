@@ -121,6 +121,21 @@ def overlapping_numbers(ax: Axes3D) -> list[tuple[str, str]]:
     return [(one.get_text(), other.get_text()) for one, other in pairs if one.get_window_extent().overlaps(other.get_window_extent())]
 
 
+def test_the_error_without_the_measured_tip_is_named_so(recording: Path) -> None:
+    telemetry = cdcr.read(recording)["telemetry"].copy()
+    assert plot.error(telemetry).get_legend() is None
+    has_reference = np.isfinite(telemetry["position_error_m"])
+    telemetry["tip_measured_ns"] = telemetry["release_ns"]
+    telemetry["tip_measured_m"] = telemetry["reference"]["position_m"] + [0.0, 0.161, 0.0]
+    for cause, words in [(0, "estimated"), (1, "by the model (measured tip not in use: 100.0 % of the time)")]:
+        telemetry["tip_cause"] = cause
+        ax = plot.error(telemetry)
+        drawn, measured = ax.get_lines()
+        assert (drawn.get_label(), measured.get_label()) == (words, "as measured")
+        assert len(measured.get_xdata()) > has_reference.sum() / 2 and np.allclose(measured.get_ydata(), 161.0)
+    plt.close("all")
+
+
 def test_each_figure_is_drawn_of_each_source(recording: Path) -> None:
     robot = cdcr.Robot()
     daemon = Daemon()

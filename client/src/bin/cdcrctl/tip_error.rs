@@ -2,8 +2,9 @@ use std::collections::VecDeque;
 use std::io::Write;
 
 use anyhow::{Context, bail};
+use cdcr_client::section_lengths_m;
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{Mode, ReferenceState};
+use cdcr_shared_types::codes::{Mode, ReferenceState, TipCause, guard};
 
 use crate::bend_limit::BendShare;
 
@@ -21,12 +22,14 @@ pub(crate) struct TipError {
     cycles: u64,
     /// Cycles in which limits or guard changed the command.
     limited_cycles: u64,
+    /// Cycles in which the newest measured tip was not in use: their error is by the model.
+    unused_cycles: u64,
     sum_m: f64,
     max_m: f64,
     final_m: f64,
     /// The section that was at its bend limit in the last cycle.
     at_limit: Option<BendShare>,
-    /// The tip has been at its reference, and no obstacle was known since.
+    /// The tip has been at its reference, and no obstacle was in its way since.
     arrived: bool,
     /// The largest estimated error after an arrival.
     farthest: Farthest,
@@ -46,6 +49,8 @@ struct Farthest {
 struct Measured {
     /// Reference at the newest releases \[ns, m\], oldest first.
     reference: VecDeque<(u64, [f64; 3])>,
+    /// The cycles since then did not track it: the next one begins anew.
+    is_left: bool,
     newest_ns: u64,
     /// Time between the last two measurements \[ns\]; 0 before the second one.
     interval_ns: u64,
@@ -68,10 +73,17 @@ const ENDED_OFF_M: f64 = 0.02;
 /// is an outlier, or it is too fast \[m\]. More than [`ENDED_OFF_M`]: a machine that stalls for 0.2 s does not decide.
 /// Obstacles may keep the tip away; after them, it has to arrive again.
 const PASSED_OFF_M: f64 = 0.05;
+/// A body within this share of the robot's length of the safe distance is beside an obstacle.
+const BESIDE: f64 = 0.02;
 
 /// Whether the tip follows the reference itself, after the approach.
 pub(crate) fn is_along(record: &Telemetry) -> bool {
     record.mode == Mode::Tracking.code() && is_inside(record) && !is_approach(record)
+}
+
+/// Whether the newest measured tip is not in use: tip and error are those of the model.
+pub(crate) fn is_by_model(record: &Telemetry) -> bool {
+    record.tip_cause != TipCause::None.code()
 }
 
 fn is_inside(record: &Telemetry) -> bool {
@@ -82,12 +94,22 @@ fn is_approach(record: &Telemetry) -> bool {
     record.approach.duration_ns.max(record.approach.joining_ns) > 0
 }
 
+/// Whether an obstacle may keep the tip from its reference: the clearance guard acts, or the body is near its safe distance.
+fn is_beside_obstacle(record: &Telemetry) -> bool {
+    let reach_m: f64 = section_lengths_m(&record.robot).iter().sum();
+    let near_m = record.settings.safe_distance_m + BESIDE * reach_m;
+    record.guard_flags & guard::CLEARANCE != 0
+        || record.obstacle_count > 0 && record.clearance_m <= near_m
+}
+
 /// Number of kept releases: enough for a sensor that is half a second late at 5 ms.
 const REMEMBERED: usize = 100;
 
 impl Measured {
     fn take(&mut self, record: &Telemetry) {
-        if self.reference.len() == REMEMBERED {
+        if core::mem::take(&mut self.is_left) {
+            self.reference.clear();
+        } else if self.reference.len() == REMEMBERED {
             self.reference.pop_front();
         }
         let here = (record.release_ns, record.reference.position_m);
@@ -146,15 +168,18 @@ impl TipError {
     /// Adds a record, if its cycle tracked.
     pub(crate) fn take(&mut self, record: &Telemetry) {
         if record.mode != Mode::Tracking.code() || record.release_ns < self.fed_ns {
+            self.measured.is_left = true;
             return;
         }
         if is_approach(record) {
             self.approach_cycles += 1;
             self.approach_max_m = self.approach_max_m.max(record.position_error_m);
             self.period_ns = record.period_ns;
+            self.measured.is_left = true;
         } else if is_inside(record) && record.release_ns >= self.start_ns {
             self.cycles += 1;
             self.limited_cycles += u64::from(record.guard_flags != 0);
+            self.unused_cycles += u64::from(is_by_model(record));
             self.sum_m += record.position_error_m;
             self.max_m = self.max_m.max(record.position_error_m);
             self.final_m = record.position_error_m;
@@ -166,7 +191,7 @@ impl TipError {
 
     fn take_farthest(&mut self, record: &Telemetry) {
         let error_m = record.position_error_m;
-        self.arrived = record.obstacle_count == 0 && (self.arrived || error_m <= ENDED_OFF_M);
+        self.arrived = !is_beside_obstacle(record) && (self.arrived || error_m <= ENDED_OFF_M);
         if self.arrived && error_m > self.farthest.error_m {
             self.farthest = Farthest {
                 error_m,
@@ -219,22 +244,21 @@ impl TipError {
             )?;
         }
         if let Some(error_m) = self.mean_max_final_m() {
+            let by = self.unused_percent().map_or_else(String::new, |percent| {
+                format!(
+                    " by the model (the measured tip was not in use for {percent:.1} % of the time)"
+                )
+            });
             let [mean, max, last] = error_m.map(|m| 1e3 * m);
             writeln!(
                 std::io::stdout(),
-                "tip error: mean {mean:.3}, max {max:.3}, final {last:.3} mm in {} cycles, of which limits or guard changed {:.1} %",
+                "tip error{by}: mean {mean:.3}, max {max:.3}, final {last:.3} mm in {} cycles, of which limits or guard changed {:.1} %",
                 self.cycles,
                 100.0 * self.limited_cycles as f64 / self.cycles as f64
             )?;
         }
-        let Measured {
-            count,
-            sum_m,
-            max_m,
-            ..
-        } = self.measured;
-        if count > 0 {
-            let [mean, max] = [sum_m / count as f64, max_m].map(|m| 1e3 * m);
+        if let Some(([mean_m, max_m], count)) = self.measured_mean_max_m() {
+            let [mean, max] = [mean_m, max_m].map(|m| 1e3 * m);
             writeln!(
                 std::io::stdout(),
                 "measured by the tip sensor: mean {mean:.3}, max {max:.3} mm in {count} measurements, noise included"
@@ -278,6 +302,29 @@ impl TipError {
         (self.cycles > 0).then_some([mean_m, self.max_m, self.final_m])
     }
 
+    /// Mean and maximum of the measured error \[m\], and the number of measurements; `None` without one.
+    pub(crate) fn measured_mean_max_m(&self) -> Option<([f64; 2], u64)> {
+        let Measured {
+            count,
+            sum_m,
+            max_m,
+            ..
+        } = self.measured;
+        (count > 0).then_some(([sum_m / count as f64, max_m], count))
+    }
+
+    /// The newest measured error of a reference that is being tracked \[m\].
+    pub(crate) fn measured_now_m(&self) -> Option<f64> {
+        let is_now = self.cycles > 0 && !self.measured.is_left;
+        is_now.then(|| self.measured.newest_m()).flatten()
+    }
+
+    /// The share of the time in which the measured tip was not in use \[%\]; `None`: it always was, or there is none.
+    pub(crate) fn unused_percent(&self) -> Option<f64> {
+        let percent = 100.0 * self.unused_cycles as f64 / self.cycles as f64;
+        (self.unused_cycles > 0).then_some(percent)
+    }
+
     fn check(&self, limit_m: f64) -> anyhow::Result<()> {
         let cycles = (self.cycles > 0).then_some(self.cycles);
         cycles.context(
@@ -300,184 +347,4 @@ impl TipError {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn record(mode: Mode, state: ReferenceState, release_ns: u64, error_m: f64) -> Telemetry {
-        let mut record = Telemetry {
-            mode: mode.code(),
-            release_ns,
-            position_error_m: error_m,
-            ..Telemetry::default()
-        };
-        record.reference.state = state.code();
-        record
-    }
-
-    #[test]
-    fn only_cycles_that_track_the_reference_count() {
-        use ReferenceState::{Before, Ended, Inside};
-        let mut error = TipError {
-            start_ns: 100,
-            ..TipError::default()
-        };
-        for (mode, state, release_ns, error_m) in [
-            (Mode::Tracking, Inside, 99, 1.0),
-            (Mode::Tracking, Before, 100, 1.0),
-            (Mode::Tracking, Inside, 100, 0.003),
-            (Mode::Tracking, Inside, 105, 0.002),
-            (Mode::Holding, Inside, 110, 1.0),
-            (Mode::Tracking, Ended, 115, f64::NAN),
-            (Mode::Tracking, Inside, 120, 0.001),
-        ] {
-            let mut record = record(mode, state, release_ns, error_m);
-            record.guard_flags = u32::from(release_ns <= 100);
-            error.take(&record);
-        }
-        assert_eq!(
-            (error.cycles, error.max_m, error.final_m),
-            (3, 0.003, 0.001)
-        );
-        assert_eq!(error.limited_cycles, 1);
-        assert!((error.sum_m - 0.006).abs() < 1e-15);
-    }
-
-    #[test]
-    fn what_is_measured_is_held_against_where_the_reference_was_then() {
-        let mut error = TipError::default();
-        for (release_ns, x_m, tip_ns) in [(10, 1.0, 5), (20, 2.0, 15), (30, 3.0, 15), (40, 4.0, 39)]
-        {
-            let mut record = record(Mode::Tracking, ReferenceState::Inside, release_ns, 0.0);
-            record.reference.position_m[0] = x_m;
-            record.tip_measured_ns = tip_ns;
-            // An offset of 0.25: one measurement is from before the first release, and one is repeated.
-            record.tip_measured_m = [tip_ns as f64 / 10.0, 0.25, 0.0];
-            error.take(&record);
-        }
-        let measured = &error.measured;
-        assert_eq!(measured.count, 2);
-        assert!((measured.max_m - 0.25).abs() < 1e-12 && (measured.sum_m - 0.5).abs() < 1e-12);
-        assert_eq!(
-            error.live().as_deref(),
-            Some("error 0.000, measured 250.000 mm")
-        );
-        // The estimated error, 0, is not the only criterion.
-        assert!(error.print(Some(0.251)).is_ok());
-        let text = error.print(Some(0.249)).expect_err("larger").to_string();
-        assert!(
-            text.contains("250.000 mm from its reference as measured"),
-            "{text}"
-        );
-    }
-
-    #[test]
-    fn an_outlier_is_named_with_its_place_unless_an_obstacle_kept_the_tip_away() {
-        for (error_m, obstacles, is_followed) in [
-            (0.051, [0; 4], false),
-            (0.049, [0; 4], true),
-            (0.051, [1; 4], true),
-            // It expires, and the tip is still away.
-            (0.051, [0, 1, 0, 0], true),
-            // Since then, the tip has been at its reference.
-            (0.051, [1, 0, 0, 0], false),
-        ] {
-            let mut error = TipError {
-                start_ns: 1_000_000_000,
-                ..TipError::default()
-            };
-            let errors_m = [(1, 0.3), (2, 0.001), (3, error_m), (4, 0.001)];
-            for ((release_s, error_m), obstacle_count) in errors_m.into_iter().zip(obstacles) {
-                let release_ns = release_s * 1_000_000_000;
-                let inside = ReferenceState::Inside;
-                let mut record = record(Mode::Tracking, inside, release_ns, error_m);
-                record.obstacle_count = obstacle_count;
-                record.reference.position_m[0] = release_s as f64;
-                error.take(&record);
-            }
-            let checked = error.print(None);
-            assert_eq!(checked.is_ok(), is_followed, "{error_m} {obstacles:?}");
-            if let Err(error) = checked {
-                let text = error.to_string();
-                assert!(
-                    text.contains("51.000 mm from its reference at 2.00 s, (3.0000,"),
-                    "{text}"
-                );
-            }
-        }
-    }
-
-    #[test]
-    fn a_sensor_that_fell_silent_does_not_decide_about_the_end() {
-        // Without an interval, of a fast sensor, and of one of 5 Hz.
-        const SLOW_NS: u64 = 200_000_000;
-        for (before_ns, silent_ns, is_followed) in [
-            (0, FRESH_NS - 1, false),
-            (0, FRESH_NS, true),
-            (5_000_000, FRESH_NS, true),
-            (SLOW_NS, 2 * SLOW_NS - 1, false),
-            (SLOW_NS, 2 * SLOW_NS, true),
-        ] {
-            let mut error = TipError::default();
-            let measured_ns = 15 + before_ns;
-            let releases = [(10, 0), (20, 15), (20 + before_ns, measured_ns)];
-            for (release_ns, tip_ns) in releases
-                .into_iter()
-                .chain([(measured_ns + silent_ns, measured_ns)])
-            {
-                let mut record = record(Mode::Tracking, ReferenceState::Inside, release_ns, 0.0);
-                record.tip_measured_ns = tip_ns;
-                record.tip_measured_m[0] = 0.3;
-                error.take(&record);
-            }
-            assert_eq!(error.print(None).is_ok(), is_followed, "{silent_ns}");
-            assert_eq!(error.live().unwrap().contains("measured"), !is_followed);
-        }
-    }
-
-    #[test]
-    fn an_approach_is_no_error() {
-        let mut error = TipError {
-            fed_ns: 1,
-            start_ns: 3,
-            ..TipError::default()
-        };
-        for (state, release_ns, error_m) in [
-            (ReferenceState::Inside, 0, 0.2),
-            // Most of the approach may end before the reference begins.
-            (ReferenceState::Before, 1, 0.1),
-        ] {
-            let mut record = record(Mode::Tracking, state, release_ns, error_m);
-            record.approach.duration_ns = 7;
-            record.period_ns = 5_000_000;
-            error.take(&record);
-        }
-        assert_eq!(
-            (error.cycles, error.approach_cycles, error.approach_max_m),
-            (0, 1, 0.1)
-        );
-        assert!(error.print(Some(0.2)).is_err(), "nothing was tracked yet");
-    }
-
-    #[test]
-    fn a_limit_is_for_the_largest_error_and_for_something_that_was_tracked() {
-        let mut error = TipError::default();
-        assert!(error.print(None).is_ok());
-        assert_eq!(error.live(), None);
-        // Without a limit, the end counts for a tip that had not arrived before.
-        for (error_m, is_followed) in [(0.5, false), (0.021, false), (0.019, true)] {
-            let mut error = TipError::default();
-            error.take(&record(Mode::Tracking, ReferenceState::Inside, 1, 0.5));
-            error.take(&record(Mode::Tracking, ReferenceState::Inside, 2, error_m));
-            assert_eq!(error.print(None).is_ok(), is_followed, "{error_m}");
-        }
-        assert!(error.print(Some(1.0)).is_err());
-        error.take(&record(Mode::Tracking, ReferenceState::Inside, 1, 0.003));
-        error.take(&record(Mode::Tracking, ReferenceState::Inside, 2, 0.001));
-        assert!(error.print(Some(0.003)).is_ok());
-        let text = error.print(Some(0.0029)).expect_err("larger").to_string();
-        assert!(
-            text.contains("3.000 mm") && text.contains("2.900 mm"),
-            "{text}"
-        );
-    }
-}
+mod tests;

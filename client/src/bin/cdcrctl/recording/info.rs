@@ -18,7 +18,7 @@ use crate::Done;
 use crate::args::{Format, InfoOptions};
 use crate::files::new_file;
 use crate::interrupt::Interrupt;
-use crate::tip_error::is_along;
+use crate::tip_error::{TipError, is_along, is_by_model};
 
 pub(crate) fn run(options: &InfoOptions) -> anyhow::Result<Done> {
     if options.repair {
@@ -142,11 +142,12 @@ struct Seen {
     deadline_misses: BTreeMap<u32, u64>,
     late_starts: u64,
     skipped_periods: u64,
-    /// Largest distance of tip and reference \[m\], with its cycle.
-    largest_error: Option<(f64, u64)>,
+    /// Largest distance of tip and reference \[m\], with its cycle, and whether it is by the model.
+    largest_error: Option<(f64, u64, bool)>,
     /// The same, without the approaches.
-    largest_along: Option<(f64, u64)>,
-    least_clearance: Option<(f64, u64)>,
+    largest_along: Option<(f64, u64, bool)>,
+    error: TipError,
+    least_clearance: Option<(f64, u64, bool)>,
     refused: u64,
 }
 
@@ -203,11 +204,12 @@ impl Seen {
             .iter()
             .filter(|event| event.outcome != 0);
         self.refused += refused.count() as u64;
-        let keep = |kept: &mut Option<(f64, u64)>,
+        self.error.take(record);
+        let keep = |kept: &mut Option<(f64, u64, bool)>,
                     value_m: f64,
                     is_beyond: fn(&f64, &f64) -> bool| {
-            if value_m.is_finite() && kept.is_none_or(|(old_m, _)| is_beyond(&value_m, &old_m)) {
-                *kept = Some((value_m, record.cycle));
+            if value_m.is_finite() && kept.is_none_or(|(old_m, ..)| is_beyond(&value_m, &old_m)) {
+                *kept = Some((value_m, record.cycle, is_by_model(record)));
             }
         };
         if record.mode == Mode::Tracking.code() {
@@ -256,12 +258,24 @@ impl Seen {
             ("largest error", self.largest_error),
             ("after the approach", self.largest_along),
         ] {
-            if let Some((error_m, cycle)) = largest {
+            if let Some((error_m, cycle, by_model)) = largest {
                 let error_mm = millimetres(error_m * 1e3);
-                lines.push(format!("{name}: {error_mm} mm in cycle {cycle}"));
+                let by = if by_model { " by the model" } else { "" };
+                lines.push(format!("{name}{by}: {error_mm} mm in cycle {cycle}"));
             }
         }
-        if let Some((clearance_m, cycle)) = self.least_clearance {
+        if let Some(([mean_m, max_m], _)) = self.error.measured_mean_max_m() {
+            let [mean_mm, max_mm] = [mean_m, max_m].map(|m| millimetres(1e3 * m));
+            lines.push(format!(
+                "as measured after the approach: mean {mean_mm}, largest {max_mm} mm"
+            ));
+        }
+        if let Some(percent) = self.error.unused_percent() {
+            lines.push(format!(
+                "the measured tip was not in use for {percent:.1} % of that time"
+            ));
+        }
+        if let Some((clearance_m, cycle, _)) = self.least_clearance {
             let mm = clearance_m * 1e3;
             lines.push(format!("least clearance: {mm:.3} mm in cycle {cycle}"));
         }
@@ -275,9 +289,14 @@ impl Seen {
                 .map(|(code, count)| (text(*code).to_owned(), json!(count)));
             named.collect()
         };
-        let extreme = |found: Option<(f64, u64)>, name: &str| {
-            found.map(|(value_m, cycle)| json!({name: value_m, "cycle": cycle}))
+        let extreme = |found: Option<(f64, u64, bool)>, name: &str| {
+            found.map(
+                |(value_m, cycle, by_model)| json!({name: value_m, "cycle": cycle, "by_model": by_model}),
+            )
         };
+        let measured = self.error.measured_mean_max_m().map(
+            |([mean_m, max_m], count)| json!({"mean_m": mean_m, "max_m": max_m, "measurements": count}),
+        );
         json!({
             "duration_s": self.duration_s(),
             "cut": is_cut,
@@ -289,6 +308,8 @@ impl Seen {
             "refused": self.refused,
             "largest_error": extreme(self.largest_error, "position_error_m"),
             "largest_error_after_approach": extreme(self.largest_along, "position_error_m"),
+            "measured_error_after_approach": measured,
+            "measured_unused_percent": self.error.unused_percent(),
             "least_clearance": extreme(self.least_clearance, "clearance_m"),
         })
     }
@@ -297,6 +318,7 @@ impl Seen {
 #[cfg(test)]
 mod tests {
     use cdcr_scratch::Scratch;
+    use cdcr_shared_types::codes::{ReferenceState, TipCause};
 
     use super::*;
 
@@ -326,5 +348,36 @@ mod tests {
             again.ends_with("run-repaired.mcap exists: remove it or rename it"),
             "{again}"
         );
+    }
+
+    #[test]
+    fn an_error_without_the_measured_tip_is_named_so_with_the_measured_one() {
+        let mut seen = Seen::default();
+        for (release_ns, tip_ns) in [(10, 0), (20, 15)] {
+            let mut record = Telemetry {
+                release_ns,
+                mode: Mode::Tracking.code(),
+                position_error_m: 0.002,
+                tip_measured_ns: tip_ns,
+                tip_measured_m: [0.0, 0.161, 0.0],
+                tip_cause: TipCause::Far.code(),
+                ..Telemetry::default()
+            };
+            record.reference.state = ReferenceState::Inside.code();
+            seen.take_cycle(&record);
+        }
+        let text = seen.text();
+        for part in [
+            "largest error by the model: 2.000 mm",
+            "after the approach by the model: 2.000 mm",
+            "as measured after the approach: mean 161.000, largest 161.000 mm",
+            "not in use for 100.0 % of that time",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
+        let json = seen.json(false);
+        assert_eq!(json["measured_unused_percent"], 100.0);
+        assert_eq!(json["measured_error_after_approach"]["max_m"], 0.161);
+        assert_eq!(json["largest_error"]["by_model"], true);
     }
 }

@@ -237,6 +237,13 @@ impl Cycles {
                 only(is_tracking, 1e3 * record.position_error_m),
             ),
             (
+                "measured_mm".to_owned(),
+                only(
+                    is_tracking,
+                    1e3 * self.error.measured_now_m().unwrap_or(f64::NAN),
+                ),
+            ),
+            (
                 "clearance_mm".to_owned(),
                 only(true, 1e3 * record.clearance_m),
             ),
@@ -297,6 +304,8 @@ impl Cycles {
             "late_starts": self.late_starts,
             "skipped_periods": self.skipped_periods,
             "error_mm": error.map(|error| error.map(|m| 1e3 * m)),
+            "measured_mm": self.error.measured_mean_max_m().map(|(error, _)| error.map(|m| 1e3 * m)),
+            "unused_percent": self.error.unused_percent(),
             "least_clearance": self.least_clearance.map(|(m, t_s)| json!({"mm": 1e3 * m, "t_s": t_s})),
             "mode_names": Mode::ALL.iter().map(|mode| mode.text()).collect::<Vec<_>>(),
             "curves": self.curves(),

@@ -310,7 +310,11 @@ function summary() {
   add(`deadline misses (deadline ${number(data.deadline_ms)} ms)`, missed ? `${missed} (${counted(data.deadline_misses)})` : 'none', missed > 0);
   add('late starts, skipped periods', `${data.late_starts}, ${data.skipped_periods}`);
   const error = data.error_mm;
-  add('tip error while tracking, after the approach', error ? `mean ${number(error[0], 3)}, max ${number(error[1], 3)}, final ${number(error[2], 3)} mm` : 'nothing was tracked');
+  const unused = data.unused_percent;
+  add(`tip error${unused ? ' by the model' : ''} while tracking, after the approach`, error ? `mean ${number(error[0], 3)}, max ${number(error[1], 3)}, final ${number(error[2], 3)} mm` : 'nothing was tracked');
+  const measured = data.measured_mm;
+  if (measured) add('the same as measured, noise included', `mean ${number(measured[0], 3)}, max ${number(measured[1], 3)} mm`);
+  if (unused) add('measured tip not in use', `${number(unused, 3)} % of that time`, true);
   const least = data.least_clearance;
   add(`least clearance (safe distance ${number(safe_mm)} mm)`, least ? `${number(least.mm)} mm at ${number(least.t_s)} s` : 'no obstacle', least && least.mm < safe_mm - 0.01);
   const response = data.latencies.response;
@@ -634,7 +638,8 @@ function path() {
 // ---- error, clearance, controls, cables, timing
 
 function error_and_clearance() {
-  const [, high] = extent(['error_mm']);
+  const names = data.measured_mm ? ['error_mm', 'measured_mm'] : ['error_mm'];
+  const [, high] = extent(names);
   if (high > -Infinity) {
     const values = high_of('error_mm').filter((value) => value !== null).sort((a, b) => a - b);
     const positive = values.filter((value) => value > 0);
@@ -643,7 +648,9 @@ function error_and_clearance() {
     const log = high > 30 * values[values.length >> 1];
     const floor = Math.max(positive[positive.length >> 6], 1e-9);
     const range = log ? [10 ** Math.floor(Math.log10(floor)), 10 ** Math.ceil(Math.log10(1.05 * high))] : [0, 1.06 * high || 1];
-    section('error', 'Error', chart({ title: `distance of tip and reference while tracking${log ? ', logarithmic' : ''}`, unit: 'mm', series: [{ name: 'error_mm', label: 'error' }], range, log }));
+    const labels = [data.unused_percent ? 'by the model' : 'error', 'as measured'];
+    const series = names.map((name, i) => ({ name, label: labels[i] }));
+    section('error', 'Error', chart({ title: `distance of tip and reference while tracking${log ? ', logarithmic' : ''}`, unit: 'mm', series, range, log }));
   } else {
     section('error', 'Error', element('p', {}, 'No cycle tracked a reference.'));
   }
