@@ -7,6 +7,7 @@
 //! robot has motors, play and noise: near obstacles it may achieve less.
 
 mod held_back;
+mod too_fast;
 
 use std::fmt;
 use std::io::Write;
@@ -27,6 +28,7 @@ use crate::bar::Bar;
 use crate::bend_limit::BendShare;
 use crate::interrupt::Interrupt;
 use held_back::HeldBack;
+pub(crate) use too_fast::check_speed;
 
 /// Maximum duration of the move to the first point \[s\].
 const MOVE_MAX_S: f64 = 30.0;
@@ -144,6 +146,11 @@ pub(crate) fn compute_positions(
     compute(connection, &PositionsOf(trajectory), options)
 }
 
+/// The longest reference that is simulated \[s\].
+fn longest_s(record: &Telemetry) -> f64 {
+    CYCLES_MAX as f64 * record.period_ns as f64 * 1e-9
+}
+
 /// Simulates `trajectory` from the state in `record`.
 pub(crate) fn simulate(
     record: &Telemetry,
@@ -154,7 +161,7 @@ pub(crate) fn simulate(
     let (robot, here) = robot_and_pose(record)?;
     let period_s = record.period_ns as f64 * 1e-9;
     let cycles = (trajectory.duration_s() / period_s).ceil();
-    check_duration(trajectory, CYCLES_MAX as f64 * period_s)?;
+    check_duration(trajectory, longest_s(record))?;
     let points = points(trajectory, options, robot.reach_m())?;
     let offset_m: Vector3<f64> = record.tip_offset_m.map(|m| -m).into();
     let at_s = |time_s: f64| points.sample((time_s * 1e9) as u64).moved(&offset_m);
@@ -353,6 +360,9 @@ impl Demands {
     pub(crate) fn miss(&self, allowed_m: f64) -> Option<(String, &'static str)> {
         let (cause, remedy) = match self.missed_at {
             Some(limit) => (limit.to_string(), limit.remedy()),
+            None if self.along.clearance_m == f64::INFINITY => {
+                ("too fast".to_owned(), "use a lower --speed")
+            }
             None => (
                 "too fast, or obstructed".to_owned(),
                 "use a lower --speed, or remove obstacles",

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
+use cdcr_client::model::settings_of;
 use cdcr_client::{
     Changed, Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, Figure, FigurePlane,
     FigureShape, FileTrajectory, Line, Orientation, PAPER_SECTION_M, Spiral, Straight, Trajectory,
@@ -68,6 +69,10 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
     }
     let before = newest(&connection)?;
     reach::check(&before, &*trajectory, allowed_m)?;
+    if arguments.track {
+        let settings = settings_of(&before.settings)?;
+        dry_run::check_speed(&before, settings, &*trajectory, &feed, allowed_m)?;
+    }
     if arguments.track && !arguments.blend {
         note_distance(&before, &*trajectory);
     }

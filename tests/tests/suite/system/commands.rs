@@ -132,7 +132,10 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
     let printed = text(&output);
     assert!(printed.contains("tip error: mean"), "{printed}");
     // A script learns of it without an option, too.
-    let printed = refused(&daemon, "ref line --duration 200ms --lead 1s --track");
+    let printed = refused(
+        &daemon,
+        "ref line --velocity 0.0001,0,0 --duration 200ms --lead 1s --track",
+    );
     assert!(printed.contains("at the end, more than 20 mm"), "{printed}");
 }
 

@@ -319,29 +319,29 @@ fn a_way_beside_another_clients_reference_is_refused_by_its_lease() {
 
 /// All points are in reach, but not at once.
 #[test]
-fn a_reference_with_an_outlier_was_not_followed() {
+fn a_reference_with_an_outlier_is_refused_before_anything_moves() {
     let daemon = Daemon::start(PATIENT);
     let row = |k: usize| {
         let (time_s, x_m) = (0.05 * k as f64, if k == 40 { -0.1 } else { 0.1 });
         format!("{time_s},{x_m},{},0.85\n", 0.001 * k as f64)
     };
     let rows: String = (0..=80).map(row).collect();
-    daemon
-        .place()
-        .write("path.csv", &format!("t_s,x_m,y_m,z_m\n{rows}"));
-    // A stall takes the tip off its path elsewhere, or ends the tracking.
-    until_undisturbed("the tip leaves the reference at the outlier", || {
-        checked_unless_stalled(&daemon, "goto 0.1,0,0.85 --speed 0.2 --acceleration 2")?;
-        let file = "cdcrctl ref file path.csv --track";
-        let output = daemon.place().start(file).output();
-        let refused = text(&output);
-        println!("{refused}");
-        let (_, place) = refused.split_once("mm from its reference at ")?;
-        let time_s: f64 = place.split(' ').next()?.parse().ok()?;
-        let is_there = (time_s - 2.0).abs() < 0.06;
-        let is_named = is_there && place.contains("0.8500) m, more than 50 mm");
-        is_named.then(|| assert_output(&output, 1, &[]))
-    });
+    let rows = format!("t_s,x_m,y_m,z_m\n{rows}");
+    daemon.place().write("path.csv", &rows);
+    for line in [
+        "ref file path.csv --track",
+        "ref file path.csv --track --blend --max-error 20mm",
+        "ref file path.csv --dry-run",
+    ] {
+        let refused = checked(&daemon, line, 1);
+        let is_named = refused.contains("too fast: at 2.0") && refused.contains("nothing moved");
+        assert!(is_named && refused.contains("(-0.1"), "{refused}");
+    }
+    let status = daemon.connect().status(cdcr_tests::TIMEOUT).unwrap();
+    assert_eq!(
+        (status.mode, status.lease_holder),
+        (Mode::Holding.code(), 0)
+    );
 }
 
 #[test]

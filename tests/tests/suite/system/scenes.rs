@@ -56,7 +56,7 @@ fn figures_are_tried_and_followed() {
         &daemon,
         "ref polygon --radius 0.02 --speed 2 --dry-run",
         1,
-        "too fast, or obstructed: at",
+        "too fast: at",
     );
     let both = "ref polygon --radius 0.02 --blend --dry-run";
     checked(&daemon, both, 2, "cannot be used with");

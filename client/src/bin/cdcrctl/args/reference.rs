@@ -72,8 +72,8 @@ pub(crate) struct FeedArguments {
     pub(crate) interpolation: Interpolation,
     /// Largest allowed tip error, such as 2mm or 0.002m, once the tip has arrived: estimated, and measured where there is a tip sensor, noise
     /// included. With it, the command also fails if nothing was tracked. Without it, the limits are 20 mm at the end, and 50 mm, estimated,
-    /// on the way; the latter is off while an obstacle is known, and then until the tip has arrived again. If the robot cannot
-    /// reach a point within this error (1 mm if not given), nothing moves
+    /// on the way; the latter is off while an obstacle is beside the body, and then until the tip has arrived again. If the robot cannot
+    /// reach a point within this error (1 mm if not given), or with --track the reference is too fast for it, nothing moves
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
     pub(crate) max_error: Option<f64>,
     /// Delay from this command to the first point

@@ -182,3 +182,43 @@ fn the_fastest_way_to_a_far_first_point_is_not_taken_for_the_approach() {
     };
     assert!(says_so(0.1) && !says_so(1e-4));
 }
+
+#[test]
+fn what_is_too_fast_is_refused_before_it_is_tracked_also_beside_obstacles() {
+    let rows = |step_s: f64| {
+        let row = |k: usize| {
+            let x_m = if k < 50 { 0.05 } else { 0.2 };
+            format!("{},{x_m},0,0.5\n", step_s * k as f64)
+        };
+        (0..100).map(row).collect::<String>()
+    };
+    let options = FeedOptions::default();
+    let checked = |record: &Telemetry, step_s: f64, allowed_m: f64| {
+        let file = reference(&format!("t_s,x_m,y_m,z_m\n{}", rows(step_s)));
+        let settings = NmpcSettings::default();
+        let checked = check_speed(record, settings, &file, &options, allowed_m);
+        checked.map_err(|error| error.to_string())
+    };
+    let mut record = two_sections();
+    for known in [0, 1] {
+        record.obstacle_count = known;
+        record.obstacles[0] = cdcr_shared_types::Obstacle {
+            id: 1,
+            radius_m: 0.02,
+            start_m: [0.05, 0.0, 0.5],
+            ..cdcr_shared_types::Obstacle::default()
+        };
+        let text = checked(&record, 0.02, 1e-3).unwrap_err();
+        for part in [
+            "too fast: at 1.0",
+            "(0.2000, 0.0000, 0.5000) m",
+            "use a lower --speed, or allow more than 1 mm (--max-error); nothing moved",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
+        // It is allowed, slow, or too long to be simulated. An obstacle on it is the guard's.
+        assert_eq!(checked(&record, 0.02, 0.2), Ok(()));
+        assert_eq!(checked(&record, 2.0, 1e-3), Ok(()));
+        assert_eq!(checked(&record, 20.0, 1e-3), Ok(()));
+    }
+}
