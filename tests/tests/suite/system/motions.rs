@@ -334,8 +334,9 @@ fn a_reference_with_an_outlier_is_refused_before_anything_moves() {
         "ref file path.csv --dry-run",
     ] {
         let refused = checked(&daemon, line, 1);
-        let is_named = refused.contains("too fast: at 2.0") && refused.contains("nothing moved");
-        assert!(is_named && refused.contains("(-0.1"), "{refused}");
+        let is_there = ["1.9", "2.0"].map(|s| refused.contains(&format!("too fast: at {s}")));
+        let is_named = is_there.contains(&true) && refused.contains("(-0.");
+        assert!(is_named && refused.contains("nothing moved"), "{refused}");
     }
     let status = daemon.connect().status(cdcr_tests::TIMEOUT).unwrap();
     assert_eq!(

@@ -70,8 +70,8 @@ fn a_page_has_all_that_was_recorded_and_needs_nothing_else() {
         assert_eq!(length(&curves[name]), columns, "{name}");
     }
     let series = curves["series"].as_object().unwrap();
-    // Error, clearance, three latencies; for three sections two rates and three cables each.
-    assert_eq!(series.len(), 5 + 6 + 9);
+    // Error, measured error, clearance, three latencies; for three sections two rates and three cables each.
+    assert_eq!(series.len(), 6 + 6 + 9);
     for (name, ends) in series {
         assert!(
             ends.as_array()
