@@ -5,6 +5,7 @@ mod plant;
 mod recording;
 mod reference;
 mod settings;
+mod status;
 mod straight;
 
 use std::path::PathBuf;
@@ -30,6 +31,7 @@ pub(crate) use reference::{
     LineOptions, RefOptions, SpiralOptions,
 };
 pub(crate) use settings::{SettingsAction, SettingsOptions};
+pub(crate) use status::StatusOptions;
 pub(crate) use straight::{GENTLE, GotoOptions, JogOptions, StraightArguments};
 
 /// Command-line client of cdcrd, the controller of cable-driven continuum robots: feed references, send
@@ -319,22 +321,6 @@ pub(crate) struct DemoOptions {
     /// Write telemetry.csv, path.svg, shape.svg, error.svg and timing.svg into this folder
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct StatusOptions {
-    /// Output format
-    #[arg(long, value_enum, default_value = "text")]
-    pub(crate) format: Format,
-    /// Update every second, until interrupted
-    #[arg(long)]
-    pub(crate) watch: bool,
-    /// Fail where the robot cannot be moved: it is stopped, faulted, or not measured yet
-    #[arg(long, conflicts_with = "watch")]
-    pub(crate) check: bool,
-    /// Reset the statistics, print nothing; a stopped robot stays stopped (see cdcrctl reset)
-    #[arg(long, conflicts_with_all = ["watch", "format", "check"])]
-    pub(crate) reset_statistics: bool,
 }
 
 #[derive(Debug, Args)]
