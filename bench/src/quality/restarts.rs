@@ -306,4 +306,14 @@ mod tests {
             assert!(!is_stuck(found), "{found}");
         }
     }
+
+    #[test]
+    fn a_new_plan_takes_the_better_way_past_three_posts_within_20_ms() {
+        for seed in [1010, 3019] {
+            let rows = contest(Field::Posts, seed).unwrap();
+            let found = &rows[rows.len() - 2];
+            assert_eq!(found["contender"], "kpso-refined-20ms");
+            assert!(!is_stuck(found), "{found}");
+        }
+    }
 }

@@ -16,8 +16,11 @@ pub(super) const WAYS: usize = 4;
 const BATCHES_MAX: u64 = 3;
 /// Rough steps of each way in a round of a batch.
 const ROUND_STEPS: u32 = 2;
-/// Initial deviation of a way from the free plan, as a share of the largest rates.
-const DEVIATION_SHARE: f64 = 0.5;
+/// Initial deviation of a way from the free plan in each batch, as a share of the largest rates. None: the way
+/// starts from a random plan instead.
+const DEVIATION_SHARES: [Option<f64>; BATCHES_MAX as usize] = [Some(0.5), None, Some(1.0)];
+/// Separates the random numbers of plans from those of sides.
+const RANDOM_PLAN: u64 = 77;
 
 impl Solver {
     /// Refines the incumbent with rough steps, and competes with other ways. These are the free plan, which
@@ -98,7 +101,7 @@ impl Solver {
                 continue;
             }
             if !is_first || way > 1 {
-                self.start_way(task, 2 * batch + way as u64 / 2, way, budget);
+                self.start_way(task, batch, way, budget);
             }
             if !is_first || way > 0 {
                 self.refine_way(way, task.problem, task, &round, budget);
@@ -122,25 +125,33 @@ impl Solver {
         }
     }
 
-    /// Starts a way beside the free plan: to a random side, and each second one to the opposite side.
-    fn start_way(&mut self, task: &Task, side: u64, way: usize, budget: &mut Budget<'_>) {
+    /// Starts a way beside the free plan: to a random side, and each second one to the opposite side. Or from a
+    /// random plan, and each second one from the opposite plan.
+    fn start_way(&mut self, task: &Task, batch: u64, way: usize, budget: &mut Budget<'_>) {
         let width = task.problem.motion.width();
         let mut direction = [0.0; COORDINATES_MAX];
         let direction = &mut direction[..width];
-        let seed = cycle_seed(task.seed, side);
+        let seed = cycle_seed(task.seed, 2 * batch + way as u64 / 2);
         for (i, component) in (0..).zip(&mut *direction) {
-            *component = cycle_seed(seed, i) as f64 / (u64::MAX / 2) as f64 - 1.0;
+            *component = random_share(seed, i);
         }
         let norm = direction.iter().map(|c| c * c).sum::<f64>().sqrt();
         let sign = if way.is_multiple_of(2) { 1.0 } else { -1.0 };
-        let size = sign * DEVIATION_SHARE / f64::max(norm, f64::MIN_POSITIVE);
+        let share = DEVIATION_SHARES[batch as usize];
+        let size = sign * share.unwrap_or_default() / f64::max(norm, f64::MIN_POSITIVE);
+        let plan_seed = cycle_seed(seed, RANDOM_PLAN);
         let blocks = (self.free_plan.len() / width) as f64;
         self.scratch.clear();
         for (i, rate) in self.free_plan.iter().enumerate() {
-            // Deviates in the first half and returns in the second.
-            let phase = PI * ((i / width) as f64 + 0.5) / blocks;
-            let deviation = size * direction[i % width] * task.bounds.upper()[i];
-            self.scratch.push(rate + deviation * phase.cos());
+            let largest = task.bounds.upper()[i];
+            self.scratch.push(if share.is_some() {
+                // Deviates in the first half and returns in the second.
+                let phase = PI * ((i / width) as f64 + 0.5) / blocks;
+                let deviation = size * direction[i % width] * largest;
+                rate + deviation * phase.cos()
+            } else {
+                sign * random_share(plan_seed, i as u64) * largest
+            });
         }
         task.bounds.project(&mut self.scratch);
         let evaluation = task.problem.evaluate_at(&self.scratch, budget);
@@ -159,6 +170,11 @@ impl Solver {
         self.gauss_newton
             .refine(problem, task.bounds, settings, budget, incumbent);
     }
+}
+
+/// A random number from -1 to 1.
+fn random_share(seed: u64, number: u64) -> f64 {
+    cycle_seed(seed, number) as f64 / (u64::MAX / 2) as f64 - 1.0
 }
 
 /// Settings for a number of rough steps.
