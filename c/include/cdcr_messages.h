@@ -919,7 +919,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v13, 15624 bytes. */
+/* cdcr.Telemetry.v13, 15616 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -1092,36 +1092,35 @@ typedef struct CdcrTelemetry {
     double way_rad[12];
     /* 15560: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
     double approach_distance_m;
-    /* 15568: Largest speed of a tip that is behind its reference and returns to it [m/s]; infinite: no limit. */
+    /* 15568: Largest speed of a tip that is behind its reference and returns to it, in the newest cycle that solved
+     * [m/s]; infinite: no limit. */
     double pace_m_s;
-    /* 15576: The same of its turns [rad/s]. */
-    double pace_rad_s;
-    /* 15584: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
+    /* 15576: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
      * fault then. */
     uint32_t control_begins;
-    /* 15588: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
+    /* 15580: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
     uint32_t moves_to_begin;
-    /* 15592: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
+    /* 15584: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
      * rest, the solve from previous_rate_rad_s. */
     uint32_t ran_out_in_solve;
-    /* 15596: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
+    /* 15588: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;
-    /* 15600: 1: yes, 0: no. 1 where a reset has to accept the pose: a section is measured more than 0.2 rad from
+    /* 15592: 1: yes, 0: no. 1 where a reset has to accept the pose: a section is measured more than 0.2 rad from
      * where the last command left it, or the daemon before this one ended in such a pose. */
     uint32_t pose_differs;
-    /* 15604: 1: yes, 0: no. 1 where the newest measurement was rejected as a jump: a reset is refused then. */
+    /* 15596: 1: yes, 0: no. 1 where the newest measurement was rejected as a jump: a reset is refused then. */
     uint32_t measurement_rejected;
-    /* 15608: 1: yes, 0: no. 1 where the reference at the release is too far from the tip to be tracked. */
+    /* 15600: 1: yes, 0: no. 1 where the reference at the release is too far from the tip to be tracked. */
     uint32_t reference_too_far;
-    /* 15612: CdcrTipCause: why the newest tip_measured_m was not used, also in the cycles until the next one. */
+    /* 15604: CdcrTipCause: why the newest tip_measured_m was not used, also in the cycles until the next one. */
     uint32_t tip_cause;
-    /* 15616: Distance of the measured tip from where the measured bends place it [m], where it is so far that a
+    /* 15608: Distance of the measured tip from where the measured bends place it [m], where it is so far that a
      * reset is refused (the reason TipElsewhere); 0: it is not. */
     double tip_contradiction_m;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 15624);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 15616);
 
-/* cdcr.Incident.v12, 15664 bytes. */
+/* cdcr.Incident.v12, 15656 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1135,6 +1134,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 15664);
+CDCR_ASSERT_SIZE(CdcrIncident, 15656);
 
 #endif

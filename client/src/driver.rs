@@ -288,6 +288,8 @@ impl DriverUpdate {
     fn take(&mut self, follower: &mut CommandFollower, command: &Command, now_ns: u64) {
         let before = follower.sender_id();
         match follower.take(command, now_ns) {
+            // Before the reset of a stopped robot no first command is in force.
+            Ok(()) if follower.sender_id().is_none() => {}
             Ok(()) => {
                 self.command = Some(*command);
                 let sender_id = command.header.sender_id;

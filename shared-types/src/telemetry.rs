@@ -293,10 +293,8 @@ message! {
         way_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// A reference farther from the tip than this is not approached \[m\]; infinite: it is, from anywhere.
         approach_distance_m: f64,
-        /// Largest speed of a tip that is behind its reference and returns to it \[m/s\]; infinite: no limit.
+        /// Largest speed of a tip that is behind its reference and returns to it, in the newest cycle that solved \[m/s\]; infinite: no limit.
         pace_m_s: f64,
-        /// The same of its turns \[rad/s\].
-        pace_rad_s: f64,
         /// 1 where a latched mode was left and control has not begun since: a following error is no fault then.
         control_begins: u32 [yes],
         /// 1 while the commanded position moves to where control begins after a reset.

@@ -84,8 +84,6 @@ const ROUNDING_S: f64 = 1e-8;
 /// After a gap the motors move at this multiple of the commanded speed at most: at twice the speed they have caught up
 /// after as long as the gap was.
 const CATCH_UP: f64 = 2.0;
-/// Duration of the move from where the cables are measured to a first position \[s\].
-const FIRST_MOVE_S: f64 = 1.0;
 /// Least share of the robot's speed at which a move is made, so that a short one ends.
 const PACE_MIN: f64 = 1e-3;
 
@@ -142,10 +140,8 @@ impl CommandFollower {
             return Ok(());
         }
         self.rested = self.rest(now_ns);
-        // Bends are measured on the robot, beside where its loaded motors stand: there is no move.
-        let begin = begin
-            .or_else(|| self.with_measured_cables(&end))
-            .unwrap_or(end);
+        // The robot was measured at the first position: there is no move to it.
+        let begin = begin.unwrap_or(end);
         // Late commands must not make up for their delay by a jump.
         let shortest_s = bounds::shortest_s(&self.robot, &begin, &end) - ROUNDING_S;
         let pace = self.pace(command, shortest_s, now_ns);
@@ -164,28 +160,16 @@ impl CommandFollower {
         Ok(())
     }
 
-    /// A first position in Stopped and Faulted is not taken: nothing moves before the reset.
+    /// A first position in Stopped and Faulted is not followed: nothing moves before the reset.
     fn holds_before(&self, command: &Command) -> bool {
         self.interface == Interface::Position && self.present.is_none() && rests(command)
-    }
-
-    /// The first position `end` with the cables where they are measured; `None` if they are not.
-    fn with_measured_cables(&self, end: &CommandedPosition) -> Option<CommandedPosition> {
-        let of_cables = MeasurementKind::CableLengths.code();
-        let measured = self
-            .measured
-            .filter(|measured| measured.kind == of_cables)?;
-        Some(CommandedPosition {
-            cable_length_m: measured.cable_length_m,
-            ..*end
-        })
     }
 
     /// Highest speed of a move that takes `shortest_s` at the robot's largest one, as a share of that speed. After a gap:
     /// [`CATCH_UP`] times the mean speed of the way that was missed, or of the commands if these are faster now.
     fn pace(&self, command: &Command, shortest_s: f64, now_ns: u64) -> f64 {
         let Some(present) = self.present.as_ref() else {
-            return (shortest_s / FIRST_MOVE_S).clamp(PACE_MIN, 1.0);
+            return 1.0;
         };
         if !present.has_gap(now_ns) {
             return 1.0;
@@ -352,8 +336,8 @@ impl CommandFollower {
 
     /// Commanded position at `now_ns`: on a straight line from the position at which the command was taken to
     /// its target at `target_ns`, then constant. `None` before the first command, and until the reset of a robot that is
-    /// Stopped or Faulted then: the motors hold. Where the driver measures cables, their lengths lead from there to the
-    /// first position in a second. For a driver that obeys [`Interface::Position`].
+    /// Stopped or Faulted then: the motors hold. For a driver that obeys
+    /// [`Interface::Position`].
     ///
     /// The position never overshoots the target and never exceeds the robot's largest rates, so it may arrive
     /// later, after lost or late commands. It is constant from `valid_until_ns` on. Another daemon does not move

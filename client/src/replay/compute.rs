@@ -1,7 +1,7 @@
 use cdcr_controller::estimator::Slack;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveReport, SolveStatus};
 use cdcr_controller::optimizer::Budget;
-use cdcr_controller::reference::{Approach, Pace};
+use cdcr_controller::reference::Approach;
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot};
 use cdcr_controller::safety::{
     Lag, SafeCommand, Situation, homing_rates, ramp_to_zero, safe_command,
@@ -395,10 +395,7 @@ impl Computer {
             None => self.nmpc.forget_plan(),
         }
         self.nmpc.limit_acceleration(record.acceleration_rad_s2);
-        self.nmpc.limit_pace(Pace {
-            speed_m_s: record.pace_m_s,
-            turn_rad_s: record.pace_rad_s,
-        });
+        self.nmpc.limit_pace(record.pace_m_s);
         let steps = settings.horizon_steps as usize;
         let window = reference.window(record, steps);
         let approach = approach_of(&record.approach);

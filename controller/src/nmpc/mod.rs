@@ -53,10 +53,10 @@ pub use settings::{Coordinates, NmpcSettings, RateWeight, SettingsError, SolverK
 pub use unintended::{rate_weight_warning, safe_distance_warning};
 
 use crate::optimizer::{Budget, Simd};
-use crate::reference::{Pace, ReferenceSample};
+use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Obstacle, Robot};
 use foresight::Foresight;
-use pace::{is_beside_obstacle, pace_reference, slow_down};
+use pace::{Surroundings, pace_reference};
 use reachable::{Reachable, SolveContext};
 use solver::Solver;
 
@@ -106,7 +106,8 @@ pub struct Nmpc {
     period_s: f64,
     /// Largest growth of the rate of a component \[rad/s²\].
     acceleration_rad_s2: f64,
-    pace: Pace,
+    /// Largest speed of a tip that is behind its reference \[m/s\].
+    pace_m_s: f64,
     settings: NmpcSettings,
     horizon: Horizon,
     reachable: Reachable,
@@ -129,7 +130,7 @@ impl Clone for Nmpc {
         let simd = self.solver.simd();
         let mut clone = Self::from_valid(simd, self.robot.clone(), self.period_s, self.settings);
         clone.acceleration_rad_s2 = self.acceleration_rad_s2;
-        clone.pace = self.pace;
+        clone.pace_m_s = self.pace_m_s;
         clone.plan.copy_from_slice(&self.plan);
         clone.warm_plan.copy_from_slice(&self.warm_plan);
         clone.restored_periods = self.restored_periods;
@@ -168,7 +169,7 @@ impl Nmpc {
             robot,
             period_s,
             acceleration_rad_s2: f64::INFINITY,
-            pace: Pace::UNLIMITED,
+            pace_m_s: f64::INFINITY,
             settings,
             horizon: Horizon::new(&settings, width),
             reachable: Reachable::with_capacity(unknowns),
@@ -195,10 +196,10 @@ impl Nmpc {
         self.acceleration_rad_s2 = acceleration_rad_s2;
     }
 
-    /// Limits how fast a tip that is behind its reference returns to it; [`Pace::UNLIMITED`], the default: as fast as all
-    /// other limits allow. Does not apply to evasion of an obstacle.
-    pub fn limit_pace(&mut self, pace: Pace) {
-        self.pace = pace;
+    /// Limits how fast a tip that is behind its reference returns to it \[m/s\], above 0; infinite, the default: as fast as
+    /// all other limits allow. It does not slow the evasion of an obstacle.
+    pub fn limit_pace(&mut self, pace_m_s: f64) {
+        self.pace_m_s = pace_m_s;
     }
 
     /// Replaces the settings. The plan is truncated or extended to the new horizon, and reset to zero when
@@ -250,9 +251,9 @@ impl Nmpc {
         &self.settings
     }
 
-    /// The pace in force.
-    pub fn pace(&self) -> &Pace {
-        &self.pace
+    /// The limit of [`Self::limit_pace`] in force \[m/s\].
+    pub fn pace_m_s(&self) -> f64 {
+        self.pace_m_s
     }
 
     /// The robot.
@@ -295,17 +296,16 @@ impl Nmpc {
             self.forget_plan();
             return (BendRates::zero(n), SolveReport::default());
         }
-        let pace = (self.pace).at_most(self.robot.tip_speed_max_m_s().unwrap_or(f64::INFINITY));
-        if pace == Pace::UNLIMITED {
+        let own_m_s = self.robot.tip_speed_max_m_s().unwrap_or(f64::INFINITY);
+        let step_m = self.pace_m_s.min(own_m_s) * self.period_s;
+        if step_m == f64::INFINITY {
             return self.solve_within(input, budget);
         }
         let tip = self.robot.tip_pose(input.configuration);
-        let from = (&tip, self.period_s);
         let mut paced = core::mem::take(&mut self.paced);
         let steps = self.horizon.steps();
-        let is_behind = pace_reference(&pace, input.reference, steps, from, &mut paced);
-        let is_blocked =
-            is_behind && is_beside_obstacle(&self.robot, input, self.settings.safe_distance_m);
+        let is_behind = pace_reference(input.reference, steps, &tip, step_m, &mut paced);
+        let is_blocked = is_behind && self.surroundings(input).are_near();
         let reference = if is_behind && !is_blocked {
             &paced
         } else {
@@ -317,8 +317,8 @@ impl Nmpc {
         };
         let (mut rates, report) = self.solve_within(&seen, budget);
         if is_behind {
-            // The command is limited to the robot's own limit later, which reports it.
-            rates = slow_down(rates, &self.robot, input, &self.pace, from);
+            // The robot's own limit is applied to the command, which reports it.
+            rates = self.surroundings(input).slow_down(rates, self.pace_m_s);
         }
         self.paced = paced;
         (rates, report)
@@ -333,6 +333,15 @@ impl Nmpc {
         self.saved_plan.copy_from_slice(&self.plan);
         self.solve(input, budget);
         core::mem::swap(&mut self.plan, &mut self.saved_plan);
+    }
+
+    fn surroundings<'a>(&'a self, input: &'a SolveInput<'a>) -> Surroundings<'a> {
+        Surroundings {
+            robot: &self.robot,
+            input,
+            safe_distance_m: self.settings.safe_distance_m,
+            period_s: self.period_s,
+        }
     }
 
     fn solve_within(

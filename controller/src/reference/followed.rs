@@ -26,12 +26,28 @@ pub struct FollowedReference {
     limits: Option<ApproachLimits>,
     approach: Approach,
     last: Option<PreviousCycle>,
+    /// Largest speed of what is followed, from the release to the end of the horizon \[m/s\].
+    speed_m_s: f64,
     samples: [ReferenceSample; HORIZON_STEPS_MAX],
+}
+
+/// What the tip follows at the releases of the horizon.
+#[derive(Debug, Clone, Copy)]
+pub struct Followed<'a> {
+    /// The samples.
+    pub samples: &'a [ReferenceSample],
+    /// Largest speed of a tip that is behind them and returns: the largest one of the samples, from the release to the end
+    /// of the horizon, plus that of an approach \[m/s\]. Infinite without an approach. A jump inside the reference counts:
+    /// it is followed at any speed while it is in the horizon.
+    pub pace_m_s: f64,
 }
 
 /// State of the previous cycle.
 #[derive(Debug, Clone, Copy)]
 struct PreviousCycle {
+    cycle: u64,
+    /// Followed at the next release.
+    next_m: Vector3<f64>,
     velocity_m_s: Vector3<f64>,
     state: ReferenceState,
     replacements: u64,
@@ -44,6 +60,7 @@ impl FollowedReference {
             limits,
             approach: Approach::default(),
             last: None,
+            speed_m_s: 0.0,
             samples: [ReferenceSample::default(); HORIZON_STEPS_MAX],
         }
     }
@@ -75,13 +92,18 @@ impl FollowedReference {
         steps: usize,
         tip: impl FnOnce() -> Pose,
         offset_m: &Vector3<f64>,
-    ) -> &'a [ReferenceSample] {
+    ) -> Followed<'a> {
         if let Some(limits) = self.limits {
             self.plan(&limits, window, now, tip);
         }
         let reference = window.ahead(now.cycle, steps);
+        self.measure_speed(reference, now);
+        let pace_m_s = self.pace_m_s();
         if !self.approach.is_active() && *offset_m == Vector3::zeros() {
-            return reference;
+            return Followed {
+                samples: reference,
+                pace_m_s,
+            };
         }
         let samples = &mut self.samples[..reference.len()];
         for ((followed, sample), step) in samples.iter_mut().zip(reference).zip(1..) {
@@ -91,7 +113,25 @@ impl FollowedReference {
                 .followed_sample(sample, time_ns)
                 .moved(&-offset_m);
         }
-        samples
+        Followed { samples, pace_m_s }
+    }
+
+    fn pace_m_s(&self) -> f64 {
+        self.limits
+            .map_or(f64::INFINITY, |limits| self.speed_m_s + limits.speed_m_s)
+    }
+
+    fn measure_speed(&mut self, reference: &[ReferenceSample], now: GridPoint) {
+        let period_s = now.period_ns as f64 * 1e-9;
+        let mut before_m = None;
+        for (sample, step) in reference.iter().zip(1..) {
+            let time_ns = now.release_ns + step * now.period_ns;
+            let here_m = self.approach.followed_sample(sample, time_ns).position_m;
+            if let Some(before_m) = before_m.replace(here_m) {
+                let speed_m_s: f64 = (here_m - before_m).norm() / period_s;
+                self.speed_m_s = self.speed_m_s.max(speed_m_s);
+            }
+        }
     }
 
     /// Begins an approach if needed, and ends a completed one.
@@ -126,7 +166,16 @@ impl FollowedReference {
                 .followed_sample(sample, next_ns + later_ns)
                 .position_m
         });
+        let passed = self
+            .last
+            .filter(|last| !begins && last.cycle < now.cycle)
+            .map(|last| (now.cycle - last.cycle, last.next_m));
+        self.speed_m_s = passed.map_or(0.0, |(cycles, before_m)| {
+            (here - before_m).norm() / (cycles as f64 * period_s)
+        });
         self.last = Some(PreviousCycle {
+            cycle: now.cycle,
+            next_m: here,
             velocity_m_s: (there - here) / period_s,
             state: first.state,
             replacements: window.replacements(),

@@ -2,7 +2,8 @@
 //!
 //! [`Trajectory`] holds the points of a client. [`ReferenceWindow`] holds the samples for one solve: at the release and
 //! at each step of the horizon. [`FollowedReference`] is the reference that the tip follows: the samples of the window,
-//! with an [`Approach`] at the beginning. [`Pace`] says how fast a tip that was kept back may return to it.
+//! with an [`Approach`] at the beginning. A tip that was kept back returns to it at the pace
+//! of [`Followed::pace_m_s`].
 //!
 //! Invariant: nothing here knows the source of the points. Times are nanoseconds of one clock chosen by the caller.
 //! Nothing allocates after construction.
@@ -10,17 +11,18 @@
 mod approach;
 mod followed;
 mod interpolation;
-mod pace;
 mod trajectory;
 mod window;
 
 pub use approach::{Approach, ApproachLimits, QUINTIC_ACCELERATION_PEAK, QUINTIC_SPEED_PEAK};
-pub use followed::{FollowedReference, GridPoint};
-pub use pace::Pace;
+pub use followed::{Followed, FollowedReference, GridPoint};
 pub use trajectory::{POINT_SPACING_MIN_NS, Trajectory, TrajectoryError};
 pub use window::{HORIZON_STEPS_MAX, ReferenceWindow};
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
+
+use crate::robot::Pose;
+use approach::turn_rad;
 
 /// The part of the tip's orientation that a reference specifies.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -43,6 +45,19 @@ impl Orientation {
             Self::Free => Self::Free,
             Self::Axis(axis) => Self::Axis(turn * axis),
             Self::Full(rotation) => Self::Full(turn * rotation),
+        }
+    }
+}
+
+impl ReferenceSample {
+    /// The point on the straight way from `tip` to this sample at `share` of it (0 to 1), in position and orientation.
+    #[must_use]
+    pub fn at_share_from(&self, tip: &Pose, share: f64) -> Self {
+        let left_rad = turn_rad(tip, &self.orientation) * (1.0 - share);
+        Self {
+            state: self.state,
+            position_m: tip.position_m + (self.position_m - tip.position_m) * share,
+            orientation: self.orientation.turned(left_rad),
         }
     }
 }

@@ -127,6 +127,11 @@ impl FollowingWatch {
         self.error = FollowingError::default();
     }
 
+    /// The robot is in a latched mode.
+    pub fn is_latched(&self) -> bool {
+        self.latched.is_some()
+    }
+
     /// Whether the robot is in a latched mode from now on.
     pub fn latch(&mut self, is_latched: bool) {
         if is_latched != self.latched.is_some() {

@@ -203,8 +203,7 @@ pub fn fill_telemetry(
             .slack
             .map_or([0.0; CABLES_MAX], |slack| *slack.slack_m()),
         approach_distance_m = record.policy.approach_distance_m,
-        pace_m_s = record.pace.speed_m_s,
-        pace_rad_s = record.pace.turn_rad_s,
+        pace_m_s = record.pace_m_s,
         control_begins = u32::from(record.control_begins),
         moves_to_begin = u32::from(record.way.is_some()),
         ran_out_in_solve = u32::from(record.ran_out_in_solve),

@@ -311,7 +311,7 @@ impl Cycle {
             way,
             reference,
             approach: *self.followed.approach(),
-            pace: *self.nmpc.pace(),
+            pace_m_s: self.nmpc.pace_m_s(),
             settings: self.settings(),
             report,
             rates: safe.rates,

@@ -36,6 +36,8 @@ pub(super) struct RobotState {
     /// Number of drivers so far, and whether control has not begun since the last one came: it does not yet obey.
     drivers: u64,
     is_driver_new: bool,
+    /// Control has begun before: the commanded position is not an assumed one.
+    has_begun: bool,
     /// Where control begins, while the commanded position is on its way there.
     begins_at: Option<Configuration>,
     pub(super) following: FollowingWatch,
@@ -81,6 +83,7 @@ impl RobotState {
             commanded: initial,
             drivers: 0,
             is_driver_new: false,
+            has_begun: false,
             begins_at: None,
             following: FollowingWatch::new(policy.following, obeys_positions, initial),
             plausibility: MeasurementWatch::new(policy.plausibility),
@@ -221,7 +224,7 @@ impl RobotState {
             // No command has been sent.
             self.is_driver_new = true;
             self.take_control();
-        } else if self.is_driver_new && self.is_accepted() {
+        } else if self.is_driver_new && self.is_accepted() && !self.following.is_latched() {
             self.is_driver_new = false;
         }
         if let Some(measured) = &self.measured {
@@ -266,9 +269,11 @@ impl RobotState {
         }
     }
 
-    /// The motors are where the commanded position leads, or on their way there.
+    /// The motors are where the commanded position leads, or on their way there. A new driver that measures the tip alone
+    /// is believed to find them where the driver before it left them, if the tip is near.
     fn obeys_positions(&self) -> bool {
-        self.policy.interface == Interface::Position && !self.is_driver_new
+        let stays = || self.has_begun && self.measured.is_none() && self.is_commanded_here();
+        self.policy.interface == Interface::Position && (!self.is_driver_new || stays())
     }
 
     fn measured_place(&self) -> Configuration {
@@ -298,6 +303,7 @@ impl RobotState {
         }
         self.begins_at = None;
         self.is_driver_new = false;
+        self.has_begun = true;
         self.present = self.estimator.present();
         self.delayed = self.estimator.delayed();
         self.common_mode.begin();
@@ -336,7 +342,7 @@ impl RobotState {
 
     /// The way ends, too, where the robot has come to its commanded position.
     pub(super) fn end_way_beside(&mut self) {
-        if self.is_commanded_here() {
+        if self.measured.is_some() && self.is_commanded_here() {
             self.begins_at = None;
         }
     }

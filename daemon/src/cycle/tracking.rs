@@ -1,6 +1,6 @@
 use cdcr_controller::nmpc::{SolveInput, SolveReport, SolveStatus};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
-use cdcr_controller::reference::{GridPoint, Pace};
+use cdcr_controller::reference::GridPoint;
 use cdcr_controller::robot::BendRates;
 use cdcr_controller::safety::Reason;
 
@@ -30,22 +30,18 @@ impl Cycle {
             period_ns: self.period_ns,
         };
         let (state, offset_m) = (&self.state, self.state.tip_offset_m());
-        let reference = self.followed.ahead(
+        let followed = self.followed.ahead(
             &inputs.window,
             now,
             steps,
             || state.commanded_tip(),
             &offset_m,
         );
-        let period_s = self.period_ns as f64 * 1e-9;
-        let pace = (self.policy.approach).map_or(Pace::UNLIMITED, |limits| {
-            Pace::of(reference, &limits, period_s)
-        });
-        self.nmpc.limit_pace(pace);
+        self.nmpc.limit_pace(followed.pace_m_s);
         let input = SolveInput {
             configuration: self.state.configuration(),
             previous_rates: &self.rates,
-            reference,
+            reference: followed.samples,
             obstacles: &self.obstacles,
             tip_offset_m: state.tip_margin_m(),
             elapsed_periods: elapsed_ns / self.period_ns,

@@ -2,7 +2,7 @@ use core::ops::Deref;
 
 use cdcr_controller::estimator::Slack;
 use cdcr_controller::nmpc::{PLAN_MAX, SolveReport};
-use cdcr_controller::reference::{Approach, Pace, ReferenceSample};
+use cdcr_controller::reference::{Approach, ReferenceSample};
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
 use cdcr_controller::safety::{FollowingError, LeaseState, LimitsHit, Mode, Observation};
 use nalgebra::Vector3;
@@ -159,8 +159,8 @@ pub struct CycleFacts {
     pub reference: ReferenceSample,
     /// Approach to the reference, as the plan followed it.
     pub approach: Approach,
-    /// How fast a tip that is behind its reference may return to it.
-    pub pace: Pace,
+    /// Largest speed of a tip that is behind its reference, in the newest cycle that solved \[m/s\].
+    pub pace_m_s: f64,
     /// Settings in force.
     pub settings: Settings,
     pub report: SolveReport,

@@ -293,6 +293,8 @@ fn resets_move_no_robot_of_which_the_tip_alone_is_measured() {
     let tip_m = trial.tip_m;
     for _ in 0..4 {
         trial.ask(Request::Stop);
+        // Its driver is started again.
+        trial.inputs.drivers += 1;
         trial.turns(50);
         let reset = trial.ask(Request::Reset);
         assert_eq!(reset.answers[0].unwrap().outcome, Ok(()));

@@ -53,24 +53,3 @@ fn motors_hold_until_the_reset_when_their_driver_starts_in_stopped_or_faulted() 
     let refused = take(&mut follower, &far);
     assert!(matches!(refused, Err(CommandRefusal::Elsewhere { .. })));
 }
-
-#[test]
-fn cables_move_from_where_they_are_measured_to_a_first_position_in_a_second() {
-    let mut follower = started(MeasurementKind::CableLengths);
-    let [measured_m, commanded_m] =
-        [MEASURED_RAD, COMMANDED_RAD].map(|bend_rad| LENGTH_M - 0.0125 * bend_rad);
-    let mut last_m = measured_m;
-    for cycle in 50..260 {
-        take(&mut follower, &in_mode(Mode::Holding, cycle)).unwrap();
-        let cable_m = at(&follower, cycle as f64 + 1.0).1;
-        let step_m = cable_m - last_m;
-        let most_m = 1.01 * (commanded_m - measured_m) / 200.0;
-        assert!((-1e-12..=most_m).contains(&step_m), "{cycle}: {step_m}");
-        last_m = cable_m;
-    }
-    assert!((last_m - commanded_m).abs() < 1e-12, "{last_m}");
-    // Bends are measured on the robot, whose loaded motors stand where they are commanded.
-    let mut follower = started(MeasurementKind::Configuration);
-    take(&mut follower, &in_mode(Mode::Holding, 50)).unwrap();
-    assert_eq!(at(&follower, 50.5), (COMMANDED_RAD, commanded_m));
-}

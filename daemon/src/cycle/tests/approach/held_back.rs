@@ -1,4 +1,4 @@
-//! A tip that an obstacle or a pause kept from its reference joins it again within the limits of the approach.
+//! A tip that an obstacle or a pause kept from its reference returns to it at its pace.
 
 use cdcr_controller::robot::{Obstacle, Shape};
 
@@ -73,7 +73,7 @@ fn error_m(record: &CycleRecord) -> f64 {
 }
 
 #[test]
-fn a_tip_joins_gently_when_the_obstacle_that_held_it_is_gone() {
+fn a_tip_returns_at_its_pace_when_the_obstacle_that_held_it_is_gone() {
     for more in ["", LAG, PLAY] {
         for approach in ["smooth", "direct"] {
             let mut trial = on_the_line(approach, more);
@@ -91,18 +91,25 @@ fn a_tip_joins_gently_when_the_obstacle_that_held_it_is_gone() {
 }
 
 #[test]
-fn a_tip_joins_gently_behind_an_obstacle_on_its_way() {
+fn a_tip_returns_at_its_pace_behind_an_obstacle_on_its_way() {
     let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), LAG);
     trial.turns(100);
     place(&mut trial, [0.0, 0.2, 0.837], 0.03);
     trial.begin_tracking();
-    let (fastest_m_s, _) = fastest_and_error(&mut trial, 3000);
-    // The circle is joined in motion.
-    assert!(fastest_m_s < 1.52 * 0.3 + APPROACH_M_S, "{fastest_m_s}");
+    let mut lag_m = 0.0_f64;
+    for _ in 0..10 {
+        let (fastest_m_s, error_m) = fastest_and_error(&mut trial, 300);
+        // The circle is joined in motion.
+        assert!(fastest_m_s < 1.52 * 0.3 + APPROACH_M_S, "{fastest_m_s}");
+        lag_m = lag_m.max(error_m);
+    }
+    // It goes round, whenever it meets the ball.
+    let error_m = error_m(&trial.last());
+    assert!(lag_m < 0.1 && error_m < 1e-3, "{lag_m} {error_m}");
 }
 
 #[test]
-fn a_tip_joins_gently_after_a_pause() {
+fn a_tip_returns_at_its_pace_after_a_pause() {
     for approach in ["smooth", "direct"] {
         let mut trial = on_the_line(approach, "[cycle]\nmiss_limit = 1000\n");
         trial.late_turn(60);
@@ -112,4 +119,16 @@ fn a_tip_joins_gently_after_a_pause() {
         assert_eq!(is_gentle, approach == "smooth", "{fastest_m_s}");
         assert!(error_m < 1e-3, "{error_m}");
     }
+}
+
+/// One sample has no speed of its own: the one of the cycle before counts.
+#[test]
+fn a_horizon_of_one_step_follows_a_fast_reference() {
+    let more = "[controller]\nhorizon_steps = 1\n";
+    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), more);
+    trial.turns(100);
+    trial.begin_tracking();
+    trial.turns(1200);
+    let error_m = error_m(&trial.last());
+    assert!(error_m < 2e-3, "{error_m}");
 }
