@@ -110,11 +110,15 @@ impl Cycle {
         let policy = Policy::new(config);
         let settings = Settings::new(config);
         let state = RobotState::new(robot.clone(), policy, period_ns, *initial);
+        let followed = FollowedReference::new(policy.approach);
         Ok(Self {
             link,
             last_sent: LastSent::new(&state),
             state,
-            rehearsal: Rehearsal::new(RobotState::new(robot.clone(), policy, period_ns, *initial)),
+            rehearsal: Rehearsal::new(
+                RobotState::new(robot.clone(), policy, period_ns, *initial),
+                followed.clone(),
+            ),
             control_begins: false,
             pose_in_doubt: false,
             stale_ns: 0,
@@ -142,7 +146,7 @@ impl Cycle {
             rates: BendRates::zero(robot.section_count()),
             known_obstacles: ObstacleSet::default(),
             obstacles: Vec::with_capacity(OBSTACLES_MAX),
-            followed: FollowedReference::new(policy.approach),
+            followed,
             robot: robot.clone(),
         })
     }
@@ -416,6 +420,7 @@ impl Cycle {
         };
         self.nmpc.forget_plan();
         self.followed.forget();
+        self.rehearsal.followed.forget();
         (rates, SolveReport::default())
     }
 

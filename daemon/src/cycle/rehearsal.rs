@@ -2,7 +2,8 @@
 //!
 //! After milliseconds of sleep the processor's caches hold other data, and the same code takes two to three
 //! times as long. Time before a release does not count towards the response time. No later command depends on
-//! a rehearsal: the plan is restored, the estimate is a separate one, and other results are discarded.
+//! a rehearsal: the plan is restored, the estimate and the followed reference are separate ones, and other
+//! results are discarded.
 //!
 //! Each part runs only if it will usually end before the release, by the median of its recent costs. One that
 //! ends later delays its release; after a few of them, and wherever the median is too high, the part is left out and
@@ -13,6 +14,7 @@ use std::hint::black_box;
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::nmpc::SolveInput;
 use cdcr_controller::optimizer::{Budget, cycle_seed};
+use cdcr_controller::reference::{FollowedReference, GridPoint};
 use cdcr_controller::safety::{Mode, safe_command};
 
 use super::Cycle;
@@ -34,6 +36,8 @@ const LATE_MAX: u32 = 4;
 pub(super) struct Rehearsal {
     /// Separate state that only rehearsals advance and read.
     pub(super) state: RobotState,
+    /// The same for the followed reference.
+    pub(super) followed: FollowedReference,
     /// A part of the next cycle was rehearsed.
     pub(super) took_place: bool,
     /// Longest time between two checks of the clock in each first solve: the code is cold.
@@ -52,9 +56,10 @@ enum Solve {
 }
 
 impl Rehearsal {
-    pub(super) fn new(state: RobotState) -> Self {
+    pub(super) fn new(state: RobotState, followed: FollowedReference) -> Self {
         Self {
             state,
+            followed,
             took_place: false,
             cold_gap: Part::default(),
             warm_gap: Part::default(),
@@ -159,10 +164,15 @@ impl Cycle {
             return;
         }
         let rest_ns = release_ns - self.rehearsal.kept_for_rest_ns(left_ns);
+        let next = GridPoint {
+            cycle,
+            release_ns,
+            period_ns: self.period_ns,
+        };
         let parts = [
-            self.rehearse_solve(Solve::Cold, cycle, rest_ns, inputs, clock),
+            self.rehearse_solve(Solve::Cold, next, rest_ns, inputs, clock),
             self.rehearse_rest(cycle, release_ns, inputs, clock),
-            self.rehearse_solve(Solve::Warm, cycle, release_ns, inputs, clock),
+            self.rehearse_solve(Solve::Warm, next, release_ns, inputs, clock),
         ];
         self.rehearsal.took_place = parts.contains(&true);
     }
@@ -172,7 +182,7 @@ impl Cycle {
     fn rehearse_solve(
         &mut self,
         solve: Solve,
-        cycle: u64,
+        next: GridPoint,
         until_ns: u64,
         inputs: &CycleInputs,
         clock: &impl Clock,
@@ -186,14 +196,22 @@ impl Cycle {
         let end_ns = until_ns - GAP_MIN_NS;
         let period_s = self.period_ns as f64 * 1e-9;
         let settings = self.nmpc.settings();
+        let (state, offset_m) = (&self.state, self.state.tip_offset_m());
+        let followed = self.rehearsal.followed.ahead(
+            &inputs.window,
+            next,
+            settings.horizon_steps as usize,
+            || state.commanded_tip(),
+            &offset_m,
+        );
         let input = SolveInput {
             configuration: &self.state.configuration().advanced(&self.rates, period_s),
             previous_rates: &self.rates,
-            reference: inputs.window.ahead(cycle, settings.horizon_steps as usize),
+            reference: followed.samples,
             obstacles: &self.obstacles,
             tip_offset_m: self.state.tip_margin_m(),
             elapsed_periods: 1,
-            seed: cycle_seed(settings.seed, cycle),
+            seed: cycle_seed(settings.seed, next.cycle),
         };
         let (mut checked_ns, mut longest_gap_ns) = (begin_ns, 0);
         let mut is_spent = || {
@@ -223,6 +241,7 @@ impl Cycle {
         }
         self.rehearse_estimate(release_ns, inputs);
         black_box(inputs.window.get(cycle));
+        black_box(self.costs(inputs));
         black_box(safe_command(&self.situation(false), &self.rates));
         let cost_ns = clock.now_ns() - begin_ns;
         self.rehearsal.rest.note(cost_ns, left_ns);
