@@ -17,7 +17,6 @@ use anyhow::{Context, Result, bail};
 
 use crate::accounting::{Accounting, Totals};
 use crate::config::{Config, Validated, ns};
-use crate::doctor::with_core;
 use crate::exit::{Ended, ExitCause};
 use crate::handover::Policy;
 use crate::rt::attribution::{Attribution, CauseAssignment, EvaluatedCycle, Scheduling, Timing};
@@ -27,8 +26,9 @@ use crate::rt::schedule::Lateness;
 use crate::rt::schedule::{Release, Schedule};
 use crate::rt::scheduler::{SchedulerDeltas, this_thread};
 use crate::start::{self, Started, abandon_threads, arm, end_signals};
+use crate::doctor::with_core;
 
-pub use summary::{Percentiles, Summary};
+pub use summary::{BareSummary, Percentiles};
 
 /// Largest number of recorded cycles: 800 MB of memory.
 pub const CYCLES_MAX: u64 = 10_000_000;
@@ -67,7 +67,7 @@ impl From<&Scheduling> for Interference {
 /// Result of a completed loop.
 #[derive(Debug, Clone)]
 pub struct Outcome {
-    pub summary: Summary,
+    pub summary: BareSummary,
     /// Cycles, oldest first.
     pub cycles: Vec<BareCycle>,
 }
@@ -108,7 +108,7 @@ pub fn run_until(
     }
     let recorder = thread.join()?;
     Ok(Outcome {
-        summary: Summary::new(config, &recorder, armed.missing, armed.core)?,
+        summary: BareSummary::new(config, &recorder, armed.missing, armed.core)?,
         cycles: recorder.cycles,
     })
 }
@@ -334,7 +334,7 @@ mod tests {
     fn a_loop_that_is_to_end_keeps_what_there_is() {
         let recorder = run(100, (0, 0), true);
         assert!(recorder.cycles.is_empty());
-        let summary = Summary::new(&Config::default(), &recorder, 0, Some(1)).unwrap();
+        let summary = BareSummary::new(&Config::default(), &recorder, 0, Some(1)).unwrap();
         assert_eq!((summary.cycles, summary.duration_s), (0, 0.0));
         assert_eq!(summary.wake.0.max_ns, 0);
     }

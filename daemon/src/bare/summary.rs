@@ -16,7 +16,7 @@ const DIGITS: u8 = 3;
 
 /// Summary of a bare loop.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Summary {
+pub struct BareSummary {
     /// Period \[ns\].
     pub period_ns: u64,
     /// Deadline after the release \[ns\].
@@ -52,7 +52,7 @@ pub struct Summary {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Percentiles(pub LatencySummary);
 
-impl Summary {
+impl BareSummary {
     /// The summary of a completed loop; `missing` and `core` describe the granted properties.
     pub(super) fn new(
         config: &Config,
@@ -166,11 +166,11 @@ mod tests {
         }
     }
 
-    fn summary(cycles: Vec<BareCycle>, missing: u32) -> Summary {
+    fn summary(cycles: Vec<BareCycle>, missing: u32) -> BareSummary {
         let config = Config::default();
         let mut recorder = Recorder::new(&config, 1).unwrap();
         recorder.cycles = cycles;
-        Summary::new(&config, &recorder, missing, None).unwrap()
+        BareSummary::new(&config, &recorder, missing, None).unwrap()
     }
 
     #[test]

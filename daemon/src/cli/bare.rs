@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 
 use super::{Source, end_with_process};
-use crate::bare::{self, BareCycle, Outcome, Percentiles, Summary};
+use crate::bare::{self, BareCycle, BareSummary, Outcome, Percentiles};
 
 /// Help text after the options.
 pub(super) const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --format csv > bare.csv\n\n\
@@ -107,7 +107,7 @@ fn write_csv(out: &mut impl Write, cycles: &[BareCycle]) -> io::Result<()> {
     Ok(())
 }
 
-fn write_text(out: &mut impl Write, summary: &Summary) -> io::Result<()> {
+fn write_text(out: &mut impl Write, summary: &BareSummary) -> io::Result<()> {
     let ms = |time_ns: u64| time_ns as f64 / 1e6;
     writeln!(
         out,
@@ -151,7 +151,7 @@ fn write_text(out: &mut impl Write, summary: &Summary) -> io::Result<()> {
     writeln!(out, "\n{:<17}{realtime}\n{:<17}{core}", "real time", "core")
 }
 
-fn write_latencies(out: &mut impl Write, summary: &Summary) -> io::Result<()> {
+fn write_latencies(out: &mut impl Write, summary: &BareSummary) -> io::Result<()> {
     writeln!(
         out,
         "\n{:<17}{:>9}{:>9}{:>9}{:>9}{:>9}",
@@ -214,7 +214,7 @@ mod tests {
             p999_ns: 99_960,
             max_ns: 1_234_500,
         });
-        let summary = Summary {
+        let summary = BareSummary {
             period_ns: 100_000,
             deadline_ns: 100_000,
             late_start_ns: 1_000_000,
