@@ -2,14 +2,13 @@
 
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::plant::Flaws;
-use cdcr_controller::robot::{Obstacle, Shape};
+use cdcr_controller::robot::Obstacle;
 use cdcr_controller::safety::{Mode, Reason};
 use nalgebra::Vector3;
 
 use super::DIRECT;
-use super::trial::{BEGIN_NS, PERIOD_NS, Statements, Trial};
+use super::trial::{PERIOD_NS, Statements, Trial};
 use crate::config::Interface;
-use crate::obstacles::KnownObstacle;
 
 /// A robot that tracks a circle through a ball, and the ball.
 fn beside_a_ball(interface: Interface, actuator: Actuator, more: &str) -> (Trial, Obstacle) {
@@ -20,16 +19,7 @@ fn beside_a_ball(interface: Interface, actuator: Actuator, more: &str) -> (Trial
     };
     let mut trial = Trial::with(interface, flaws, &format!("{DIRECT}{more}"));
     trial.turns(3);
-    let centre_m = Vector3::new(0.0, 0.2, 0.837);
-    let obstacle = Obstacle::new(Shape::Sphere { centre_m }, 0.03, Vector3::zeros()).unwrap();
-    let known = KnownObstacle {
-        id: 1,
-        source: 1,
-        obstacle,
-        measured_ns: BEGIN_NS + trial.next() * PERIOD_NS,
-        expires_ns: None,
-    };
-    trial.inputs.obstacles.upsert(known).unwrap();
+    let obstacle = trial.put_ball(Vector3::new(0.0, 0.2, 0.837), 0.03);
     trial.begin_tracking();
     (trial, obstacle)
 }

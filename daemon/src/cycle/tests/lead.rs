@@ -2,7 +2,6 @@
 
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::plant::Flaws;
-use cdcr_controller::robot::{Obstacle, Shape};
 use cdcr_controller::safety::{Refusal, Request};
 use nalgebra::Vector3;
 
@@ -10,7 +9,6 @@ use super::super::*;
 use super::is_at_rest;
 use super::trial::{BEGIN_NS, PERIOD_NS, TRACK, Trial};
 use crate::config::Interface;
-use crate::obstacles::KnownObstacle;
 
 const INTERFACES: [Interface; 2] = [Interface::Position, Interface::Velocity];
 
@@ -132,18 +130,9 @@ fn contact_is_a_fault_where_robot_and_obstacle_are() {
         trial.begin_tracking();
         trial.turns(600);
         let centre_m = Vector3::new(0.0, 0.0, trial.tip_m.z + RADIUS_M + 0.3);
-        let shape = Shape::Sphere { centre_m };
         let down_m_s = Vector3::new(0.0, 0.0, -SPEED_M_S);
-        let ball = Obstacle::new(shape, RADIUS_M, down_m_s).unwrap();
         let placed_ns = BEGIN_NS + trial.next() * PERIOD_NS;
-        let known = KnownObstacle {
-            id: 1,
-            source: 1,
-            obstacle: ball,
-            measured_ns: placed_ns,
-            expires_ns: None,
-        };
-        trial.inputs.obstacles.upsert(known).unwrap();
+        let ball = trial.put_moving_ball(centre_m, RADIUS_M, down_m_s);
         let robot = trial.plant.truth().clone();
         let (mut farthest_off_m, mut led_off_m) = (0.0_f64, 0.0_f64);
         let mut broken = false;

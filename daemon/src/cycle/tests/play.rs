@@ -2,15 +2,14 @@
 
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::plant::Flaws;
-use cdcr_controller::robot::{Configuration, Obstacle, Shape};
+use cdcr_controller::robot::Configuration;
 use cdcr_controller::safety::Request;
 use nalgebra::Vector3;
 
 use super::super::*;
-use super::trial::{BEGIN_NS, PERIOD_NS, TRACK, Trial};
+use super::trial::{TRACK, Trial};
 use super::{BLIND_DIRECT, is_at_rest};
 use crate::config::Interface;
-use crate::obstacles::KnownObstacle;
 
 const INTERFACES: [Interface; 2] = [Interface::Position, Interface::Velocity];
 const PLAY_M: f64 = 1.5e-3;
@@ -31,20 +30,6 @@ fn with_play(interface: Interface, known_m: f64, more: &str) -> Trial {
     };
     let known = format!("[actuator]\nplay_m = {known_m}\n{more}");
     Trial::with(interface, flaws, &known)
-}
-
-/// Adds a resting ball of 50 mm radius.
-fn put_ball(trial: &mut Trial, centre_m: Vector3<f64>) -> Obstacle {
-    let ball = Obstacle::new(Shape::Sphere { centre_m }, 0.05, Vector3::zeros()).unwrap();
-    let known = KnownObstacle {
-        id: 1,
-        source: 1,
-        obstacle: ball,
-        measured_ns: BEGIN_NS + trial.next() * PERIOD_NS,
-        expires_ns: None,
-    };
-    trial.inputs.obstacles.upsert(known).unwrap();
-    ball
 }
 
 fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
@@ -183,7 +168,7 @@ fn a_body_whose_cables_may_have_play_keeps_clear() {
             flaws.actuator.play_m = true_m;
             trial.plant.set_flaws(flaws);
             trial.turns(3);
-            let ball = put_ball(&mut trial, Vector3::new(0.2, 0.0, 0.8));
+            let ball = trial.put_ball(Vector3::new(0.2, 0.0, 0.8), 0.05);
             trial.feed_line([0.25, 0.0, 0.78], [0.0; 3], 0.0);
             trial.ask(TRACK);
             let robot = trial.plant.truth().clone();
@@ -212,7 +197,7 @@ fn a_stop_beside_a_ball_slows_down_evenly() {
         for before in (540..720).step_by(10) {
             let mut trial = with_play(interface, PLAY_M, &slow);
             trial.turns(3);
-            let ball = put_ball(&mut trial, Vector3::new(0.0, -0.265, 0.837));
+            let ball = trial.put_ball(Vector3::new(0.0, -0.265, 0.837), 0.05);
             trial.begin_tracking();
             let moving = trial.turns(before);
             let mut rate_rad_s = largest(moving.rates.as_slice().iter().copied());

@@ -5,11 +5,10 @@ use cdcr_controller::robot::{Obstacle, Shape};
 use cdcr_controller::safety::{Mode, Reason, Refusal, Request};
 use nalgebra::Vector3;
 
-use super::trial::{BEGIN_NS, PERIOD_NS, TRACK, Trial};
+use super::trial::{TRACK, Trial};
 use super::{BLIND_DIRECT, is_at_rest};
 use crate::config::Interface;
 use crate::handover::{FaultPlace, MeasurementUse};
-use crate::obstacles::KnownObstacle;
 
 const CONTACT: Mode = Mode::Faulted {
     reason: Reason::ClearanceBroken,
@@ -32,20 +31,6 @@ fn longer(interface: Interface) -> Trial {
     trial
 }
 
-fn put_ball(trial: &mut Trial, centre_m: Vector3<f64>) -> Obstacle {
-    let obstacle =
-        Obstacle::new(Shape::Sphere { centre_m }, BALL_RADIUS_M, Vector3::zeros()).unwrap();
-    let known = KnownObstacle {
-        id: 1,
-        source: 1,
-        obstacle,
-        measured_ns: BEGIN_NS + trial.next() * PERIOD_NS,
-        expires_ns: None,
-    };
-    trial.inputs.obstacles.upsert(known).unwrap();
-    obstacle
-}
-
 /// True clearance of the body \[m\].
 fn clearance_m(trial: &Trial, ball: &Obstacle) -> f64 {
     let plant = &trial.plant;
@@ -60,7 +45,7 @@ fn a_reset_keeps_what_is_known_of_the_body() {
         for sensor in ["measures", "froze", "is dead"] {
             let mut trial = longer(interface);
             let tip_m = trial.plant.tip_m();
-            let ball = put_ball(&mut trial, tip_m + Vector3::new(0.2, 0.0, -0.05));
+            let ball = trial.put_ball(tip_m + Vector3::new(0.2, 0.0, -0.05), BALL_RADIUS_M);
             match sensor {
                 "froze" => trial.frozen_tip_m = Some(tip_m),
                 "is dead" => trial.measures_tip = false,
@@ -118,7 +103,7 @@ fn a_body_whose_tip_is_too_far_from_its_model_keeps_the_distance() {
         assert!(rests.tip_margin_m > 0.17, "{}", rests.tip_margin_m);
         // On the true path to the goal.
         let goal_m = Vector3::new(0.35, 0.0, 0.72);
-        let ball = put_ball(&mut trial, 1.2 * goal_m);
+        let ball = trial.put_ball(1.2 * goal_m, BALL_RADIUS_M);
         trial.feed_line(goal_m.into(), [0.0; 3], 0.0);
         trial.ask(TRACK);
         let (mut nearest_m, mut guarded) = (f64::INFINITY, 0);
@@ -143,7 +128,7 @@ fn a_contact_by_the_margin_alone_stands_until_the_tip_is_known_to_be_wrong() {
         let tip_m = trial.cycle.robot.tip_position(&trial.measured());
         // 20 mm beside the body of the model.
         let away_m = 0.015 + 0.02 + BALL_RADIUS_M;
-        let ball = put_ball(&mut trial, tip_m + Vector3::new(away_m, 0.0, 0.0));
+        let ball = trial.put_ball(tip_m + Vector3::new(away_m, 0.0, 0.0), BALL_RADIUS_M);
         let model_m = trial.cycle.robot.clearance_m(&trial.measured(), &ball);
         assert!((0.015..0.03).contains(&model_m), "{model_m}");
         let faulted = trial.turns(3);

@@ -6,7 +6,7 @@ use std::path::Path;
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
 use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
-use cdcr_controller::robot::{CABLES_MAX, Configuration};
+use cdcr_controller::robot::{CABLES_MAX, Configuration, Obstacle, Shape};
 use cdcr_controller::safety::{LeaseState, Request};
 use nalgebra::{Matrix3, Vector3};
 
@@ -15,6 +15,7 @@ use crate::config::{Config, Interface};
 use crate::convert;
 use crate::handover::TimedMeasurement;
 use crate::link::RobotLink;
+use crate::obstacles::KnownObstacle;
 use crate::rt::clock::ManualClock;
 
 /// Follow the reference of the lease in the inputs.
@@ -160,6 +161,30 @@ impl Trial {
     /// The number of the next cycle.
     pub(super) fn next(&self) -> u64 {
         self.next
+    }
+
+    /// Adds a ball that stays, measured at the next release.
+    pub(super) fn put_ball(&mut self, centre_m: Vector3<f64>, radius_m: f64) -> Obstacle {
+        self.put_moving_ball(centre_m, radius_m, Vector3::zeros())
+    }
+
+    pub(super) fn put_moving_ball(
+        &mut self,
+        centre_m: Vector3<f64>,
+        radius_m: f64,
+        velocity_m_s: Vector3<f64>,
+    ) -> Obstacle {
+        let shape = Shape::Sphere { centre_m };
+        let obstacle = Obstacle::new(shape, radius_m, velocity_m_s).unwrap();
+        let known = KnownObstacle {
+            id: 1,
+            source: 1,
+            obstacle,
+            measured_ns: BEGIN_NS + self.next * PERIOD_NS,
+            expires_ns: None,
+        };
+        self.inputs.obstacles.upsert(known).unwrap();
+        obstacle
     }
 
     pub(super) fn ask(&mut self, request: Request) -> CycleRecord {

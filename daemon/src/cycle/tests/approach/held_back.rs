@@ -1,10 +1,6 @@
 //! A tip that an obstacle or a pause kept from its reference returns to it at its pace.
 
-use cdcr_controller::robot::{Obstacle, Shape};
-
-use super::super::trial::{BEGIN_NS, PERIOD_NS};
 use super::*;
-use crate::obstacles::KnownObstacle;
 
 const FROM_M: [f64; 3] = [0.1, 0.0, 0.8];
 const LINE_M_S: [f64; 3] = [0.032, 0.0, -0.015];
@@ -40,19 +36,6 @@ fn on_the_line(approach: &str, more: &str) -> Trial {
     trial
 }
 
-fn place(trial: &mut Trial, centre_m: [f64; 3], radius_m: f64) {
-    let centre_m = Vector3::from(centre_m);
-    let shape = Shape::Sphere { centre_m };
-    let known = KnownObstacle {
-        id: 1,
-        source: 1,
-        obstacle: Obstacle::new(shape, radius_m, Vector3::zeros()).unwrap(),
-        measured_ns: BEGIN_NS + trial.next() * PERIOD_NS,
-        expires_ns: None,
-    };
-    trial.inputs.obstacles.upsert(known).unwrap();
-}
-
 /// Largest speed of the true tip over ten cycles \[m/s\], and its distance from the reference at the end \[m\].
 fn fastest_and_error(trial: &mut Trial, count: u32) -> (f64, f64) {
     let tips_m: Vec<_> = (0..count)
@@ -77,7 +60,7 @@ fn a_tip_returns_at_its_pace_when_the_obstacle_that_held_it_is_gone() {
     for more in ["", LAG, PLAY] {
         for approach in ["smooth", "direct"] {
             let mut trial = on_the_line(approach, more);
-            place(&mut trial, [0.45, 0.0, 0.7], 0.2);
+            trial.put_ball(Vector3::new(0.45, 0.0, 0.7), 0.2);
             let (held_m_s, away_m) = fastest_and_error(&mut trial, 700);
             let is_calm = held_m_s < 0.05 || approach == "direct";
             assert!(is_calm && away_m > 0.05, "{held_m_s} {away_m}");
@@ -94,7 +77,7 @@ fn a_tip_returns_at_its_pace_when_the_obstacle_that_held_it_is_gone() {
 fn a_tip_returns_at_its_pace_behind_an_obstacle_on_its_way() {
     let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), LAG);
     trial.turns(100);
-    place(&mut trial, [0.0, 0.2, 0.837], 0.03);
+    trial.put_ball(Vector3::new(0.0, 0.2, 0.837), 0.03);
     trial.begin_tracking();
     let mut lag_m = 0.0_f64;
     for _ in 0..10 {
