@@ -93,6 +93,7 @@ mod tests {
     use cdcr_shared_types::codes::{Mode, ReferenceState};
 
     use super::*;
+    use crate::dry_run::tests::robot;
     use crate::tip_error::TipError;
 
     #[test]
@@ -101,15 +102,10 @@ mod tests {
             let mut record = Telemetry {
                 mode: Mode::Tracking.code(),
                 position_error_m: 0.05,
+                robot: robot(1),
                 ..Telemetry::default()
             };
             record.reference.state = ReferenceState::Inside.code();
-            record.robot.sections = 1;
-            record.robot.cable_speed_max_m_s = 1.0;
-            record.robot.cable_stroke_max_m = 0.2;
-            let section = &mut record.robot.section[0];
-            (section.length_m, section.cable_radius_m) = (0.3, 0.02);
-            (section.bend_max_rad, section.rate_max_rad_s) = (2.5, 4.0);
             record.bend_rad[1] = bend_rad;
             let mut error = TipError::default();
             error.take(&record);

@@ -490,4 +490,4 @@ impl fmt::Display for Demands {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -217,6 +217,7 @@ mod tests {
     use cdcr_controller::robot::RobotParameters;
 
     use super::*;
+    use crate::dry_run::tests::robot;
 
     #[test]
     fn what_a_shape_reaches_is_found_from_any_other() {
@@ -263,19 +264,12 @@ mod tests {
 
     #[test]
     fn a_refusal_says_where_the_offset_of_this_pose_decides() {
-        let mut record = Telemetry {
+        let record = Telemetry {
             tip_margin_m: 0.0157,
             tip_offset_m: [0.0, 0.0, -0.015],
+            robot: robot(1),
             ..Telemetry::default()
         };
-        record.robot.sections = 1;
-        (
-            record.robot.cable_speed_max_m_s,
-            record.robot.cable_stroke_max_m,
-        ) = (1.0, 0.2);
-        let section = &mut record.robot.section[0];
-        (section.length_m, section.cable_radius_m) = (0.3, 0.02);
-        (section.bend_max_rad, section.rate_max_rad_s) = (2.5, 4.0);
         for (z_m, is_refused, is_in_doubt) in [
             (0.285, false, false),
             (0.295, true, true),

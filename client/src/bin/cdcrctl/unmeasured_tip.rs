@@ -95,6 +95,7 @@ pub(crate) fn warn_now(connection: &Connection) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dry_run::tests::robot;
 
     #[test]
     fn a_tip_sensor_is_silent_only_after_it_has_measured() {
@@ -118,16 +119,9 @@ mod tests {
         (status.header.sent_ns, status.tip_measured_ns) = (2_000_000_000, 1_900_000_000);
         let mut record = Telemetry {
             tip_position_m: [0.0, 0.0, 0.3],
+            robot: robot(1),
             ..Telemetry::default()
         };
-        record.robot.sections = 1;
-        (
-            record.robot.cable_speed_max_m_s,
-            record.robot.cable_stroke_max_m,
-        ) = (1.0, 0.2);
-        let section = &mut record.robot.section[0];
-        (section.length_m, section.cable_radius_m) = (0.3, 0.02);
-        (section.bend_max_rad, section.rate_max_rad_s) = (2.5, 4.0);
         for (tip_cause, x_m, named) in [
             (TipCause::Far, 0.05, "it is 50.0 mm from where"),
             (TipCause::Far, 0.05, "the limit is 33.3 mm"),

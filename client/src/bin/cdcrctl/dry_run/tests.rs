@@ -6,24 +6,29 @@ use cdcr_shared_types::RobotDescription;
 
 use super::*;
 
-/// A record of a robot with two sections, straight and at rest.
-fn two_sections() -> Telemetry {
+/// A robot with equal sections.
+pub(crate) fn robot(sections: u32) -> RobotDescription {
     let mut robot = RobotDescription {
-        sections: 2,
+        sections,
         cable_speed_max_m_s: 1.0,
         cable_stroke_max_m: 0.2,
         ..RobotDescription::default()
     };
-    for section in &mut robot.section[..2] {
+    for section in &mut robot.section[..sections as usize] {
         (section.length_m, section.cable_radius_m) = (0.3, 0.02);
         (section.bend_max_rad, section.rate_max_rad_s) = (2.5, 4.0);
         section.body_radius_m = 0.01;
     }
+    robot
+}
+
+/// A record of a robot with two sections, straight and at rest.
+fn two_sections() -> Telemetry {
     Telemetry {
         period_ns: 5_000_000,
         acceleration_rad_s2: 50.0,
         deceleration_rad_s2: 50.0,
-        robot,
+        robot: robot(2),
         ..Telemetry::default()
     }
 }
