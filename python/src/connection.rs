@@ -35,6 +35,7 @@ use crate::trajectory::{Points, Source, Trajectory};
 use crate::wire::Records;
 use crate::worker::{Worker, once, refuse_forked_process, sleep_until};
 
+use live::FETCH_EACH;
 pub(crate) use live::Live;
 
 /// Range of the numbers of obstacles.
@@ -48,8 +49,6 @@ const SILENT_AFTER: Duration = Duration::from_secs(1);
 const TELEMETRY_SILENT_AFTER: Duration = Duration::from_secs(10);
 /// Time within which a command arrives from a daemon that runs: 20 periods of 5 ms.
 const COMMAND_WITHIN: Duration = Duration::from_millis(100);
-/// Interval between fetches of records, short enough that a queue of 256 does not fill.
-pub(crate) const FETCH_EACH: Duration = Duration::from_millis(20);
 
 /// State owned by the thread of a connection.
 pub(crate) struct Desk {
@@ -235,8 +234,12 @@ impl Connection {
     #[pyo3(signature = (batch_s = 0.1))]
     fn live(slf: Bound<'_, Self>, batch_s: f64) -> PyResult<Live> {
         let batch = seconds("batch_s", batch_s)?;
+        let robot = slf.get().address.robot.clone();
         let connection = slf.unbind();
-        Ok(Live::new(connection, batch))
+        let fetch = move |py: Python<'_>, records: &mut Records, heard: &mut Instant| {
+            connection.get().fetch(py, records, heard)
+        };
+        Ok(Live::new(Box::new(fetch), robot, batch))
     }
 
     /// Records that this connection's telemetry lost, because they were fetched too late.
@@ -419,12 +422,7 @@ impl Connection {
     }
 
     /// Adds the pending records. `heard`: time of the last one.
-    pub(crate) fn fetch(
-        &self,
-        py: Python<'_>,
-        records: &mut Records,
-        heard: &mut Instant,
-    ) -> PyResult<()> {
+    fn fetch(&self, py: Python<'_>, records: &mut Records, heard: &mut Instant) -> PyResult<()> {
         let fetched = self.worker.call_on_thread(py, |desk| {
             let mut fetched = Records::new(Telemetry::LAYOUT);
             let stream = match &mut desk.telemetry {

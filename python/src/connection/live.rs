@@ -1,24 +1,34 @@
-//! Live records, batch by batch. One module with the connection, which makes them and whose records they fetch.
+//! Live records, batch by batch.
 
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::Telemetry;
 use pyo3::prelude::*;
 
-use super::{Connection, FETCH_EACH};
 use crate::wire::Records;
 use crate::worker::sleep_until;
+
+/// Interval between fetches of records, short enough that a queue of 256 does not fill.
+pub(super) const FETCH_EACH: Duration = Duration::from_millis(20);
+
+/// Adds the pending records to others, and updates the time of the last one.
+type Fetch = Box<dyn Fn(Python<'_>, &mut Records, &mut Instant) -> PyResult<()> + Send + Sync>;
 
 /// Batches of records, from Connection.live().
 #[pyclass(frozen, module = "cdcr")]
 pub(crate) struct Live {
-    connection: Py<Connection>,
+    fetch: Fetch,
+    robot: String,
     batch: Duration,
 }
 
 impl Live {
-    pub(crate) fn new(connection: Py<Connection>, batch: Duration) -> Self {
-        Self { connection, batch }
+    pub(super) fn new(fetch: Fetch, robot: String, batch: Duration) -> Self {
+        Self {
+            fetch,
+            robot,
+            batch,
+        }
     }
 }
 
@@ -30,15 +40,14 @@ impl Live {
 
     /// The records since the last step. Raises LinkError if the daemon sends nothing for a second, or only commands for ten.
     fn __next__(&self, py: Python<'_>) -> PyResult<Records> {
-        let connection = self.connection.get();
         let mut records = Records::new(Telemetry::LAYOUT);
         let mut heard = Instant::now();
-        connection.fetch(py, &mut records, &mut heard)?;
+        (self.fetch)(py, &mut records, &mut heard)?;
         sleep_until(py, Instant::now() + self.batch)?;
         // Python may have returned late: the time of silence begins here.
         heard = Instant::now();
         loop {
-            connection.fetch(py, &mut records, &mut heard)?;
+            (self.fetch)(py, &mut records, &mut heard)?;
             if records.count() > 0 {
                 return Ok(records);
             }
@@ -47,7 +56,6 @@ impl Live {
     }
 
     fn __repr__(&self) -> String {
-        let robot = &self.connection.get().address.robot;
-        format!("<Live records of {robot}, each {:?}>", self.batch)
+        format!("<Live records of {}, each {:?}>", self.robot, self.batch)
     }
 }
