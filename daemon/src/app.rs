@@ -19,7 +19,6 @@ use crate::config::{REST_MAX_S, Validated};
 use crate::convert;
 use crate::core_budget::KERNEL_SHARE;
 use crate::cycle::Cycle;
-use crate::doctor::{System, kernel_share, with_core};
 use crate::exchange::Exchange;
 use crate::exit::{Ended, ExitCause};
 use crate::handover::{
@@ -41,6 +40,7 @@ use crate::services;
 use crate::start::{self, Started, abandon_threads, arm, end_signals};
 use crate::status_desk::StatusDesk;
 use crate::supervisor::Supervisor;
+use crate::system::{System, with_core};
 
 /// Time beyond the ramp itself \[s\].
 const REST_SLACK_S: f64 = 0.5;
@@ -249,8 +249,8 @@ impl Signals {
 
 /// The cycle of a configuration whose parts fit into the period on this machine.
 fn make_cycle(validated: &Validated, clock: &impl Clock) -> Result<Cycle> {
-    let share = kernel_share(&System("/".into())).unwrap_or_else(|problem| {
-        let error = problem.value;
+    let share = System::this().kernel_share().unwrap_or_else(|error| {
+        let error = error.to_string();
         tracing::info!(
             error,
             "cannot read the core share of real-time threads: assuming 95 %"

@@ -26,7 +26,7 @@ use crate::rt::schedule::Lateness;
 use crate::rt::schedule::{Release, Schedule};
 use crate::rt::scheduler::{SchedulerDeltas, this_thread};
 use crate::start::{self, Started, abandon_threads, arm, end_signals};
-use crate::doctor::with_core;
+use crate::system::with_core;
 
 pub use summary::{BareSummary, Percentiles};
 

@@ -26,7 +26,8 @@
 //! | [`service_manager`] | notifications to systemd | computation of a cycle |
 //! | [`log`] | destination and rate of the log | content of the log |
 //! | [`supervisor`] | statistics, log, status | the control path |
-//! | `doctor` | the machine: files of the kernel, privileges | output format |
+//! | `system` | files of the kernel, cores | what is good about them |
+//! | `doctor` | the machine: what is good about its settings, privileges | output format |
 //! | [`exit`] | causes of the process's end | events before it |
 //! | [`bare`] | the loop without work: latencies of the machine | robot, messages, shared memory |
 //! | [`app`] | every concrete type | - |
@@ -66,4 +67,5 @@ pub mod services;
 mod start;
 mod status_desk;
 pub mod supervisor;
+mod system;
 mod warnings;

@@ -15,8 +15,8 @@ use crate::config::{
     ConfigError, DEFAULT_TEXT, Layers, Origin, RealtimeConfig, RealtimeMode, SCHEMA_TEXT, Settings,
     Validated, explain,
 };
-use crate::doctor::can_be_pinned;
 use crate::instance::{InstanceError, is_in_memory};
+use crate::system::can_be_pinned;
 use crate::warnings::warnings;
 
 #[allow(

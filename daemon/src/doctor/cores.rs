@@ -1,36 +1,32 @@
 //! The core of the real-time threads: its isolation, its siblings, its wake-up.
 
 use super::Severity::Warning;
-use super::finding::{Assessed, problem};
+use super::finding::{Assessed, problem, warn_unless};
 use super::scheduler::PERIOD_MS_FINE;
-use super::{CPU, CoreSet, Scene};
+use super::{CPU, CoreSet, Reading, Scene};
+use crate::system::SIBLING_SHARE;
 
-/// A sibling with less load is idle.
-pub(super) const SIBLING_SHARE: f64 = 0.05;
 /// A sleep state with a shorter exit latency is not deep \[µs\].
 const EXIT_US: i64 = 20;
 
 pub(super) fn cores(scene: &Scene) -> Assessed {
-    let [online, allowed] =
-        [scene.system.online()?, scene.system.allowed()?].map(|set| set.count());
-    if online.min(allowed) > 1 {
-        return Ok(format!("{online} online, {allowed} allowed"));
-    }
-    problem!(Warning, "{online} online, {allowed} allowed"
-        => "use a machine or a control group with two cores or more")
+    let [online, allowed] = [scene.system.online()?, scene.system.allowed()?].map(|set| set.len());
+    let value = format!("{online} online, {allowed} allowed");
+    let remedy = "use a machine or a control group with two cores or more";
+    warn_unless(online.min(allowed) > 1, value, remedy)
 }
 
 pub(super) fn isolation(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let isolated = scene.system.cores("isolated")?;
-    if isolated.contains(core) {
+    if isolated.contains(&core) {
         return Ok(format!("core {core} is isolated"));
     }
-    if let Some(better) = isolated.iter().next() {
+    if let Some(better) = isolated.first() {
         return problem!(Warning, "core {core} is not isolated, but {isolated} is"
             => "set realtime.core = {better}");
     }
-    if scene.system.online()?.count() < 2 {
+    if scene.system.online()?.len() < 2 {
         return problem!(Warning, "the only core cannot be isolated"
             => "use a machine with two cores or more");
     }
@@ -43,7 +39,7 @@ pub(super) fn tick(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let has_no_tick = scene.has_no_tick()?;
     let callbacks = CoreSet::parse(&scene.system.boot_option("rcu_nocbs")?.unwrap_or_default());
-    let value = match (has_no_tick, callbacks.contains(core)) {
+    let value = match (has_no_tick, callbacks.contains(&core)) {
         // A core without the tick is also freed from callbacks.
         (true, _) => "nohz_full: tick gone; rcu_nocbs: callbacks gone",
         (false, true) => "nohz_full: tick stays; rcu_nocbs: callbacks gone",
@@ -60,11 +56,11 @@ pub(super) fn tick(scene: &Scene) -> Assessed {
 pub(super) fn siblings(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let siblings = scene.system.siblings(core)?;
-    if siblings.count() == 0 {
+    if siblings.is_empty() {
         return Ok(format!("core {core} has its hardware alone"));
     }
     let loads = &scene.load()?.cores;
-    let busy = siblings.iter().filter_map(|core| loads.get(&core));
+    let busy = siblings.iter().filter_map(|core| loads.get(core));
     let busy = busy.map(|load| load.busy).fold(0.0, f64::max);
     let percent = 100.0 * busy;
     let value = format!("shared with core {siblings}, busy for {percent:.0} % of this second");
@@ -77,17 +73,16 @@ pub(super) fn siblings(scene: &Scene) -> Assessed {
 
 /// The remedy that gives the core its hardware exclusively. Siblings are switched off only if another core is
 /// left for everything else; core 0 cannot be.
-fn rest_alone(scene: &Scene, siblings: &CoreSet) -> Assessed {
-    let others = scene.other_cores()?;
-    let without = |left: CoreSet, core| left.without(core);
-    let apart = siblings.iter().fold(others, without);
-    if apart.count() == 0 {
+fn rest_alone(scene: &Scene, siblings: &CoreSet) -> Reading {
+    let without = |left: CoreSet, core: &usize| left.without(*core);
+    let apart = siblings.iter().fold(scene.other_cores()?, without);
+    if apart.is_empty() {
         return Ok("use a machine with two physical cores or more".to_owned());
     }
-    if siblings.contains(0) {
+    if siblings.contains(&0) {
         return Ok(format!("set realtime.core to one of {apart}"));
     }
-    let file = |core| format!(" {CPU}/cpu{core}/online");
+    let file = |core: &usize| format!(" {CPU}/cpu{core}/online");
     let files: String = siblings.iter().map(file).collect();
     Ok(format!("echo 0 | sudo tee{files}"))
 }
@@ -121,7 +116,7 @@ pub(super) fn deep_sleep(scene: &Scene) -> Assessed {
 }
 
 /// Exit latency \[µs\] and name of the deepest enabled sleep state.
-fn deepest_sleep(scene: &Scene) -> Assessed<Option<(i64, String)>> {
+fn deepest_sleep(scene: &Scene) -> Reading<Option<(i64, String)>> {
     let system = &scene.system;
     let folder = format!("{CPU}/cpu{}/cpuidle", scene.core()?);
     let mut deepest: Option<(i64, String)> = None;

@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use crate::system::Unreadable;
+
 /// Severity of a finding, in ascending order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -35,10 +37,10 @@ pub(super) type Assessed<T = String> = Result<T, Problem>;
 
 /// An aspect that is not good, or cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Problem {
+pub(super) struct Problem {
     pub(super) severity: Severity,
     /// The observation.
-    pub(crate) value: String,
+    pub(super) value: String,
     pub(super) remedy: String,
 }
 
@@ -54,12 +56,25 @@ macro_rules! problem {
 }
 pub(super) use problem;
 
-/// The problem of a file that cannot be read, or whose content is invalid.
-pub(super) fn unreadable(what: &str, cause: impl std::fmt::Display) -> Problem {
-    Problem {
-        severity: Severity::Unknown,
-        value: format!("cannot read {what}: {cause}"),
-        remedy: "run `cdcrd doctor` as root, or check it by hand".to_owned(),
+/// The observation if it is good, or a warning.
+pub(super) fn warn_unless(is_good: bool, value: String, remedy: impl Into<String>) -> Assessed {
+    if is_good {
+        return Ok(value);
+    }
+    Err(Problem {
+        severity: Severity::Warning,
+        value,
+        remedy: remedy.into(),
+    })
+}
+
+impl From<Unreadable> for Problem {
+    fn from(cause: Unreadable) -> Self {
+        Self {
+            severity: Severity::Unknown,
+            value: cause.to_string(),
+            remedy: "run `cdcrd doctor` as root, or check it by hand".to_owned(),
+        }
     }
 }
 
@@ -89,8 +104,8 @@ pub(crate) struct DoctorReport {
 
 impl DoctorReport {
     pub(crate) fn new(findings: Vec<Finding>) -> Self {
-        let worst = findings.iter().map(|finding| finding.severity).max();
-        let worst = worst.unwrap_or(Severity::Ok);
+        let severities = findings.iter().map(|finding| finding.severity);
+        let worst = severities.max().unwrap_or(Severity::Ok);
         Self { worst, findings }
     }
 

@@ -1,9 +1,9 @@
 //! Other users of the core: steal, threads, interrupts.
 
 use super::Severity::Warning;
-use super::finding::{Assessed, problem, unreadable};
-use super::sample::{InterruptRate, Load, Thread};
-use super::{CoreSet, Scene};
+use super::finding::{Assessed, problem, warn_unless};
+use super::sample::{Interrupt, Load, Thread};
+use super::{CoreSet, Scene, unreadable};
 
 /// A smaller share of steal is within the accuracy of its accounting.
 const STEAL_SHARE: f64 = 0.01;
@@ -23,10 +23,9 @@ pub(super) fn steal(scene: &Scene) -> Assessed {
     let load = scene.load()?.cores.get(&core).ok_or_else(hidden)?;
     let [now, since_start] = [load.steal, load.steal_since_start].map(|share| 100.0 * share);
     let value = format!("{now:.1} % in this second, {since_start:.2} % since boot");
-    if now.max(since_start) < 100.0 * STEAL_SHARE {
-        return Ok(value);
-    }
-    problem!(Warning, "{value}" => "use dedicated (pinned) cores for this virtual machine")
+    let is_good = now.max(since_start) < 100.0 * STEAL_SHARE;
+    let remedy = "use dedicated (pinned) cores for this virtual machine";
+    warn_unless(is_good, value, remedy)
 }
 
 pub(super) fn neighbours(scene: &Scene) -> Assessed {
@@ -41,32 +40,26 @@ pub(super) fn neighbours(scene: &Scene) -> Assessed {
     let one = |t: &&Thread| format!("{} ({}) {:.0} %", t.name, t.id, 100.0 * t.share);
     let each = named(here.iter().map(one));
     let value = format!("{:.0} % of core {core}: {each}", 100.0 * sum);
-    if sum < NEIGHBOUR_SHARE {
-        return Ok(value);
-    }
+    let isolate = || "isolate the core (see `isolated core`)".to_owned();
+    let remedy = elsewhere(scene, busiest, "   (or isolate the core)").unwrap_or_else(isolate);
+    warn_unless(sum < NEIGHBOUR_SHARE, value, remedy)
+}
+
+/// The remedy that moves a thread to another core, with an alternative; `None` if it cannot be moved.
+fn elsewhere(scene: &Scene, thread: &Thread, alternative: &str) -> Option<String> {
     let others = scene.other_cores().unwrap_or_default();
-    let remedy = if is_daemons(busiest) {
-        apart(&others)
-    } else if busiest.is_kernel || others.count() == 0 {
-        "isolate the core (see `isolated core`)".to_owned()
-    } else {
-        let id = busiest.id;
-        format!("sudo taskset -pc {others} {id}   (or isolate the core)")
+    // The core of another daemon of ours depends on its configuration.
+    let is_daemons = matches!(&*thread.name, "cdcr-cycle" | "cdcr-exchange");
+    let remedy = match (is_daemons, others.is_empty()) {
+        _ if thread.is_kernel => return None,
+        (true, true) => "use a machine with two cores or more: another cdcrd uses the only core",
+        (true, false) => {
+            &format!("set another realtime.core ({others}) for this cdcrd or the other one")
+        }
+        (false, true) => return None,
+        (false, false) => &format!("sudo taskset -pc {others} {}{alternative}", thread.id),
     };
-    problem!(Warning, "{value}" => "{remedy}")
-}
-
-/// A pinned thread of another daemon of ours: its core depends on its configuration.
-fn is_daemons(thread: &Thread) -> bool {
-    !thread.is_kernel && matches!(&*thread.name, "cdcr-cycle" | "cdcr-exchange")
-}
-
-/// The remedy for two daemons on one core.
-fn apart(others: &CoreSet) -> String {
-    if others.count() == 0 {
-        return "use a machine with two cores or more: another cdcrd uses the only core".to_owned();
-    }
-    format!("set another realtime.core ({others}) for this cdcrd or the other one")
+    Some(remedy.to_owned())
 }
 
 pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
@@ -81,14 +74,8 @@ pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
             count => format!("only {count} kernel threads: {}", described(&kernel)),
         });
     };
-    let others = scene.other_cores().unwrap_or_default();
-    let remedy = if is_daemons(first) {
-        apart(&others)
-    } else if others.count() > 0 {
-        format!("sudo taskset -pc {others} {}", first.id)
-    } else {
-        format!("sudo chrt -f -p 1 {}", first.id)
-    };
+    let lower = || format!("sudo chrt -f -p 1 {}", first.id);
+    let remedy = elsewhere(scene, first, "").unwrap_or_else(lower);
     let (count, described) = (programs.len(), described(&programs));
     problem!(Warning, "{count} can use core {core}: {described}" => "{remedy}")
 }
@@ -121,11 +108,10 @@ fn errand(name: &str) -> &'static str {
 fn rivals(load: &Load, core: usize, exchange_priority: i32) -> Vec<&Thread> {
     let is_rival = |thread: &&Thread| {
         let goes_before = thread.is_deadline || thread.priority >= exchange_priority;
-        let is_pinned_here = thread.allowed.count() == 1 && !thread.is_kernel;
-        thread.allowed.contains(core) && (goes_before || is_pinned_here)
+        let is_pinned_here = thread.allowed.len() == 1 && !thread.is_kernel;
+        thread.is_realtime() && thread.allowed.contains(&core) && (goes_before || is_pinned_here)
     };
-    let realtime = load.threads.iter().filter(|thread| thread.is_realtime());
-    let mut rivals: Vec<&Thread> = realtime.filter(is_rival).collect();
+    let mut rivals: Vec<&Thread> = load.threads.iter().filter(is_rival).collect();
     rivals.sort_by_key(|thread| (-thread.priority, thread.id));
     rivals
 }
@@ -136,7 +122,7 @@ pub(super) fn interrupts(scene: &Scene) -> Assessed {
     if rates.is_empty() {
         return Ok(format!("none on core {core}"));
     }
-    let one = |of: &InterruptRate| format!("{} ({}) {:.0}/s", of.label, of.description, of.rate_hz);
+    let one = |of: &Interrupt| format!("{} ({}) {:.0}/s", of.label, of.description, of.rate_hz);
     let each = named(rates.iter().map(one));
     let devices: Vec<_> = rates.iter().filter(|rate| rate.is_device()).collect();
     let device_hz: f64 = devices.iter().map(|rate| rate.rate_hz).sum();
@@ -145,11 +131,10 @@ pub(super) fn interrupts(scene: &Scene) -> Assessed {
         return Ok(value);
     };
     let (others, label) = (scene.other_cores()?, &worst.label);
-    match others.count() {
-        0 => problem!(Warning, "{value}" => "use a machine with two cores or more"),
-        _ => problem!(Warning, "{value}"
-            => "echo {others} | sudo tee /proc/irq/{label}/smp_affinity_list"),
+    if others.is_empty() {
+        return problem!(Warning, "{value}" => "use a machine with two cores or more");
     }
+    problem!(Warning, "{value}" => "echo {others} | sudo tee /proc/irq/{label}/smp_affinity_list")
 }
 
 pub(super) fn irqbalance(scene: &Scene) -> Assessed {
@@ -158,13 +143,13 @@ pub(super) fn irqbalance(scene: &Scene) -> Assessed {
         return Ok("does not run".to_owned());
     };
     let core = scene.core()?;
-    if scene.system.cores("isolated")?.contains(core) {
+    if scene.system.cores("isolated")?.contains(&core) {
         return Ok("runs, and spares isolated cores".to_owned());
     }
     let environment = scene.system.read(&format!("/proc/{process}/environ"))?;
     let mut variables = environment.split('\0');
     let banned = variables.find_map(|word| word.strip_prefix("IRQBALANCE_BANNED_CPULIST="));
-    if CoreSet::parse(banned.unwrap_or_default()).contains(core) {
+    if CoreSet::parse(banned.unwrap_or_default()).contains(&core) {
         return Ok(format!("runs, and spares core {core}"));
     }
     problem!(Warning, "runs, and does not spare the core"

@@ -8,9 +8,9 @@ use cdcr_shared_types::proc_stat::chosen;
 use cdcr_shared_types::{Measurement, ObstacleUpdate, ReferenceChunk, Service};
 use rustix::fs::{Access, access};
 
-use super::Scene;
 use super::Severity::{Fault, Unknown, Warning};
-use super::finding::{Assessed, problem, unreadable};
+use super::finding::{Assessed, problem};
+use super::{Scene, unreadable};
 use crate::services::daemon_bytes;
 
 /// Clocks that are read without a system call.
@@ -54,10 +54,9 @@ pub(super) fn virtual_machine(scene: &Scene) -> Assessed {
     if !has_flag && !HYPERVISORS.split(", ").any(|name| product.contains(name)) {
         return Ok("no".to_owned());
     }
-    let kind = if product == " " {
-        "unknown hypervisor"
-    } else {
-        product.trim()
+    let kind = match product.trim() {
+        "" => "unknown hypervisor",
+        product => product,
     };
     problem!(Warning, "yes, {kind}"
         => "run without a hypervisor, or pin this virtual machine to dedicated cores")
@@ -79,14 +78,12 @@ const CLIENT_FILES: u64 = 60;
 
 pub(super) fn shared_memory(scene: &Scene) -> Assessed {
     let probe = &scene.probe;
-    let hidden = |cause| unreadable(&scene.root().display().to_string(), cause);
+    let root = scene.validated.location.root().display().to_string();
+    let hidden = |cause| unreadable(&root, cause);
     let (size, free) = probe.shared_memory_bytes.as_ref().map_err(hidden)?;
     // A running daemon has already allocated its memory.
-    let (daemon, daemon_files) = if scene.daemon_runs() {
-        (0, 0)
-    } else {
-        (daemon_bytes(), DAEMON_FILES)
-    };
+    let started = u64::from(!scene.daemon_runs());
+    let (daemon, daemon_files) = (started * daemon_bytes(), started * DAEMON_FILES);
     let needed = daemon + client_bytes();
     let [free_mb, size_mb, needed_mb] = [*free, *size, needed].map(|bytes| bytes as f64 * 1e-6);
     let value = format!("{free_mb:.0} MB of {size_mb:.0} MB free, {needed_mb:.0} MB needed");
@@ -136,12 +133,13 @@ pub(super) fn swap(scene: &Scene) -> Assessed {
 }
 
 pub(super) fn root_folder(scene: &Scene) -> Assessed {
-    let shown = scene.root().display();
+    let root = scene.validated.location.root();
+    let shown = root.display();
     if let Ok(false) = scene.probe.root_in_memory {
         return problem!(Fault, "{shown} is on a disk"
             => "use a folder in memory (tmpfs), in /dev/shm or /run: --root DIR, or transport.root");
     }
-    let path = scene.system.path(scene.root());
+    let path = scene.system.path(root);
     let user = scene.probe.user_id;
     let fault = match std::fs::metadata(&path) {
         Err(cause) if cause.kind() != ErrorKind::NotFound => format!("{shown}: {cause}"),
@@ -193,7 +191,7 @@ mod tests {
         assert_eq!(with_free(daemon_bytes() + client_bytes()), Good);
         // A running daemon has already allocated its memory.
         assert_eq!(with_free(client_bytes()), Fault);
-        machine.write("/proc/12/stat", "");
+        machine.files.write("/proc/12/stat", "");
         assert_eq!(machine.finding("shared_memory").severity, Good);
     }
 }

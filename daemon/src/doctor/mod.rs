@@ -7,8 +7,6 @@
 //! If the configuration asks for no real time, checks that matter only to real time are shown and assessed as
 //! good.
 
-mod core_choice;
-mod core_set;
 mod cores;
 mod finding;
 mod load;
@@ -17,26 +15,19 @@ mod privileges;
 mod probe;
 mod sample;
 mod scheduler;
-mod system;
 #[cfg(test)]
 mod tests;
 
-use std::path::Path;
-
-pub(crate) use core_choice::{can_be_pinned, with_core};
 pub(crate) use finding::{DoctorReport, Finding, Severity};
-pub(crate) use scheduler::kernel_share;
-pub(crate) use system::System;
 
-use core_set::CoreSet;
-use finding::{Assessed, Problem, unreadable};
+use finding::{Assessed, Problem};
 use probe::Probe;
 use sample::Load;
 
 use crate::config::{RealtimeConfig, RealtimeMode, Validated};
-
-/// The kernel's folder of the cores.
-const CPU: &str = "/sys/devices/system/cpu";
+use crate::system::{
+    CPU, CoreSet, Reading, System, Unreadable, daemon_process, unreadable, with_core,
+};
 
 /// All observations.
 #[derive(Debug, Clone)]
@@ -46,7 +37,7 @@ struct Scene {
     validated: Validated,
     probe: Probe,
     /// Load of the core during the observation.
-    load: Assessed<Load>,
+    load: Reading<Load>,
 }
 
 struct Check {
@@ -120,33 +111,22 @@ const ALWAYS: [&str; 2] = ["shared_memory", "root_folder"];
 
 /// Examines this machine for a daemon with this configuration. Takes a second.
 pub(crate) fn examine(validated: &Validated) -> DoctorReport {
-    let system = System("/".into());
+    let system = System::this();
     let validated = with_core(validated);
-    let core = validated.config.realtime.core();
     let mut ours = vec![std::process::id()];
     ours.extend(daemon_process(&system, &validated));
-    let load = core.ok_or_else(no_core);
-    let load = load.and_then(|core| Load::watch(&system, core, &ours));
-    let probe = Probe::new(&system, &validated);
+    let core = validated.config.realtime.core().ok_or_else(no_core);
     let scene = Scene {
+        load: core.and_then(|core| Load::watch(&system, core, &ours)),
+        probe: Probe::new(&system, &validated),
         system,
         validated,
-        probe,
-        load,
     };
     scene.report()
 }
 
-fn no_core() -> Problem {
+fn no_core() -> Unreadable {
     unreadable("the core", "the system does not report its cores")
-}
-
-/// The process id in the lock file of this robot's daemon.
-fn daemon_process(system: &System, validated: &Validated) -> Option<u32> {
-    let name = &validated.config.robot.name;
-    let lock_file = validated.location.lock_file(name);
-    let id = system.number(&lock_file.to_string_lossy()).ok()?;
-    u32::try_from(id).ok()
 }
 
 impl Scene {
@@ -162,23 +142,18 @@ impl Scene {
         self.validated.config.cycle.period_ms
     }
 
-    /// The root folder of daemon and clients.
-    fn root(&self) -> &Path {
-        self.validated.location.root()
-    }
-
     /// The core of the real-time threads.
-    fn core(&self) -> Assessed<usize> {
+    fn core(&self) -> Reading<usize> {
         self.realtime().core().ok_or_else(no_core)
     }
 
-    fn load(&self) -> Assessed<&Load> {
+    fn load(&self) -> Reading<&Load> {
         self.load.as_ref().map_err(Clone::clone)
     }
 
-    fn has_no_tick(&self) -> Assessed<bool> {
+    fn has_no_tick(&self) -> Reading<bool> {
         let quiet = self.system.read_if_there(&format!("{CPU}/nohz_full"))?;
-        Ok(CoreSet::parse(&quiet.unwrap_or_default()).contains(self.core()?))
+        Ok(CoreSet::parse(&quiet.unwrap_or_default()).contains(&self.core()?))
     }
 
     /// The daemon of this robot is running.
@@ -188,7 +163,7 @@ impl Scene {
     }
 
     /// The online cores without that of the real-time threads.
-    fn other_cores(&self) -> Assessed<CoreSet> {
+    fn other_cores(&self) -> Reading<CoreSet> {
         Ok(self.system.online()?.without(self.core()?))
     }
 

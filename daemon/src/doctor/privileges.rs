@@ -1,7 +1,7 @@
 //! Privileges: priority, core, locked memory.
 
-use super::Scene;
-use super::finding::{Assessed, problem, unreadable};
+use super::finding::{Assessed, problem};
+use super::{Reading, Scene, unreadable};
 
 /// A daemon had 179 to 215 MB locked; each client adds its shared memory.
 const LOCKED_BYTES: u64 = 512 << 20;
@@ -23,7 +23,7 @@ fn grant(limit: &str, container: &str) -> String {
     )
 }
 
-fn is_capable(scene: &Scene, capability: u32) -> Assessed<bool> {
+fn is_capable(scene: &Scene, capability: u32) -> Reading<bool> {
     let field = scene.system.own_status("CapEff")?;
     let odd = |_| unreadable("CapEff", format!("invalid number {field:?}"));
     let bits = u64::from_str_radix(&field, 16).map_err(odd)?;
@@ -31,7 +31,7 @@ fn is_capable(scene: &Scene, capability: u32) -> Assessed<bool> {
 }
 
 /// The resource limit or a capability allows the cycle's priority.
-pub(super) fn may_have_priority(scene: &Scene) -> Assessed<bool> {
+pub(super) fn may_have_priority(scene: &Scene) -> Reading<bool> {
     let asked = u64::try_from(scene.realtime().cycle_priority).unwrap_or(0);
     let limit_is_enough = scene.probe.rtprio_max.is_none_or(|limit| limit >= asked);
     Ok(limit_is_enough || is_capable(scene, CAP_SYS_NICE)?)
@@ -60,7 +60,7 @@ pub(super) fn pin(scene: &Scene) -> Assessed {
     }
     let allowed = scene.system.own_status("Cpus_allowed_list")?;
     let online = scene.system.online()?;
-    if !online.contains(core) {
+    if !online.contains(&core) {
         return problem!(scene.missing(), "core {core} is offline; online are {online}"
             => "set realtime.core to one of {allowed}");
     }

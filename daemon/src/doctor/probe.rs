@@ -10,17 +10,17 @@ use rustix::mm::{MlockAllFlags, mlockall, munlockall};
 use rustix::process::{Resource, geteuid, getrlimit};
 use rustix::thread::{disable_transparent_huge_pages, transparent_huge_pages_are_disabled};
 
-use super::system::System;
 use crate::config::Validated;
 use crate::instance::is_in_memory;
 use crate::rt::sys;
+use crate::system::{System, can_be_pinned};
 
 #[derive(Debug, Clone)]
 #[cfg_attr(test, derive(serde::Serialize, serde::Deserialize))]
 pub(super) struct Probe {
     /// `SCHED_FIFO` at the cycle's priority, on a thread that ended at once; otherwise the kernel's error.
     pub(super) fifo: Result<(), String>,
-    /// That thread could be pinned to the core.
+    /// Another thread could be pinned to the core.
     pub(super) pinned: bool,
     /// All memory of this process locked, and unlocked again; otherwise the kernel's error.
     pub(super) memory_lock: Result<(), String>,
@@ -45,7 +45,6 @@ pub(super) struct Probe {
 impl Probe {
     pub(super) fn new(system: &System, validated: &Validated) -> Self {
         let realtime = &validated.config.realtime;
-        let (fifo, pinned) = try_thread(realtime.cycle_priority, realtime.core());
         let root = system.path(validated.location.root());
         let folder = root.ancestors().find(|folder| folder.exists());
         let folder = folder.unwrap_or(&root);
@@ -53,8 +52,8 @@ impl Probe {
         let deep_sleep = system.path("/dev/cpu_dma_latency");
         let deep_sleep_lock = OpenOptions::new().write(true).open(deep_sleep);
         Self {
-            fifo,
-            pinned,
+            fifo: try_fifo(realtime.cycle_priority),
+            pinned: realtime.core().is_some_and(can_be_pinned),
             memory_lock: reported(mlockall(MlockAllFlags::CURRENT).and_then(|()| munlockall())),
             no_huge_pages: reported(try_no_huge_pages()),
             rtprio_max: getrlimit(Resource::Rtprio).current,
@@ -74,15 +73,10 @@ fn reported<T, E: Display>(tried: Result<T, E>) -> Result<T, String> {
     tried.map_err(|error| error.to_string())
 }
 
-/// The first steps of the cycle thread, on a thread that ends right after them.
-fn try_thread(priority: i32, core: Option<usize>) -> (Result<(), String>, bool) {
-    let trial = std::thread::spawn(move || {
-        let fifo = reported(sys::set_fifo(priority));
-        let pin = |id| core_affinity::set_for_current(core_affinity::CoreId { id });
-        (fifo, core.is_some_and(pin))
-    });
-    let panicked = || (Err("the trial thread panicked".to_owned()), false);
-    trial.join().unwrap_or_else(|_| panicked())
+fn try_fifo(priority: i32) -> Result<(), String> {
+    let trial = std::thread::spawn(move || reported(sys::set_fifo(priority)));
+    let panicked = |_| Err("the trial thread panicked".to_owned());
+    trial.join().unwrap_or_else(panicked)
 }
 
 fn try_no_huge_pages() -> rustix::io::Result<()> {

@@ -3,23 +3,21 @@
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};
 
-use cdcr_shared_types::proc_stat::{CoreTicks, core_ticks, field, stat_field};
+use cdcr_shared_types::proc_stat::stat_field;
 
-use super::core_set::CoreSet;
-use super::finding::{Assessed, unreadable};
-use super::system::System;
+use crate::system::{
+    CoreLoad, CoreSet, CoreTimes, Reading, System, core_loads, core_times, share, unreadable,
+};
 
 const WATCHED: Duration = Duration::from_secs(1);
 
-type Cores = BTreeMap<usize, CoreTicks>;
-/// Description and count of each interrupt, by its label.
-type Interrupts = BTreeMap<String, (String, u64)>;
-
+/// Counters of the kernel at one moment.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Snapshot {
-    cores: Cores,
+    cores: CoreTimes,
     threads: HashMap<u32, Thread>,
-    interrupts: Interrupts,
+    /// Interrupts on our core.
+    interrupts: Vec<Interrupt>,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -53,43 +51,31 @@ pub(super) struct Load {
     /// Threads of other processes, the busiest first.
     pub(super) threads: Vec<Thread>,
     /// Interrupts on our core, the most frequent first.
-    pub(super) interrupts: Vec<InterruptRate>,
-}
-
-/// Shares of one core's time, 0 to 1.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-#[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
-pub(super) struct CoreLoad {
-    pub(super) busy: f64,
-    /// Given to another machine by the hypervisor between the snapshots.
-    pub(super) steal: f64,
-    pub(super) steal_since_start: f64,
+    pub(super) interrupts: Vec<Interrupt>,
 }
 
 #[derive(Debug, Clone, Default, PartialEq)]
 #[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
-pub(super) struct InterruptRate {
+pub(super) struct Interrupt {
     /// Number of a device's interrupt, or name of another interrupt.
     pub(super) label: String,
     pub(super) description: String,
+    count: u64,
+    /// Between the snapshots.
     pub(super) rate_hz: f64,
 }
 
-impl InterruptRate {
+impl Interrupt {
     /// An interrupt of a device, which can be moved to another core.
     pub(super) fn is_device(&self) -> bool {
-        is_number(&self.label)
+        self.label.parse::<u32>().is_ok()
     }
-}
-
-fn is_number(label: &str) -> bool {
-    label.parse::<u32>().is_ok()
 }
 
 impl Snapshot {
     /// The present counters; interrupts on `core` only.
-    pub(super) fn take(system: &System, core: usize) -> Assessed<Self> {
-        let cores = cores(&system.read("/proc/stat")?);
+    pub(super) fn take(system: &System, core: usize) -> Reading<Self> {
+        let cores = core_times(&system.read("/proc/stat")?);
         if cores.is_empty() {
             return Err(unreadable("/proc/stat", "no line of a core"));
         }
@@ -100,12 +86,6 @@ impl Snapshot {
             interrupts: interrupts_of(&interrupts.unwrap_or_default(), core),
         })
     }
-}
-
-/// The time of each core, from the text of `/proc/stat`.
-pub(super) fn cores(stat: &str) -> Cores {
-    let each = core_ticks(stat).filter_map(|(core, ticks)| Some((core?, ticks)));
-    each.collect()
 }
 
 /// All threads. One that ends meanwhile is omitted.
@@ -120,18 +100,12 @@ fn threads(system: &System) -> HashMap<u32, Thread> {
                 continue;
             };
             if thread.is_realtime() {
-                thread.allowed = allowed_cores(system, &folder);
+                thread.allowed = system.allowed_to(&folder);
             }
             threads.insert(id, thread);
         }
     }
     threads
-}
-
-/// The cores that the thread of a folder may use; none if they cannot be read.
-pub(super) fn allowed_cores(system: &System, folder: &str) -> CoreSet {
-    let status = system.read(&format!("{folder}/status")).unwrap_or_default();
-    CoreSet::parse(field(&status, "Cpus_allowed_list").unwrap_or_default())
 }
 
 /// Flag of a kernel thread.
@@ -167,29 +141,33 @@ fn printable(name: &str) -> String {
 }
 
 /// Parses a header of the online cores, then lines `label: count for each core, description`.
-fn interrupts_of(text: &str, core: usize) -> Interrupts {
+fn interrupts_of(text: &str, core: usize) -> Vec<Interrupt> {
     let mut lines = text.lines();
     let head: Vec<&str> = lines.next().unwrap_or("").split_whitespace().collect();
-    let Some(column) = head.iter().position(|name| *name == format!("CPU{core}")) else {
-        return Interrupts::new();
-    };
+    let ours = format!("CPU{core}");
+    let column = head.iter().position(|name| *name == ours);
     let parsed = lines.filter_map(|line| {
         let (label, rest) = line.split_once(':')?;
-        let (label, words) = (label.trim(), rest.split_whitespace().collect::<Vec<_>>());
-        let count = words.get(column)?.parse().ok()?;
+        let words: Vec<&str> = rest.split_whitespace().collect();
+        let mut interrupt = Interrupt {
+            label: label.trim().to_owned(),
+            count: words.get(column?)?.parse().ok()?,
+            ..Interrupt::default()
+        };
         let description = match words.get(head.len()..).unwrap_or_default() {
             // The controller and pin precede the name of a device.
-            [.., device] if is_number(label) => printable(device),
-            words => printable(&words.join(" ")),
+            [.., device] if interrupt.is_device() => device.to_owned(),
+            words => &words.join(" "),
         };
-        Some((label.to_owned(), (description, count)))
+        interrupt.description = printable(description);
+        Some(interrupt)
     });
     parsed.collect()
 }
 
 impl Load {
     /// Observes the load for a second; `ours` as in [`Load::between`].
-    pub(super) fn watch(system: &System, core: usize, ours: &[u32]) -> Assessed<Self> {
+    pub(super) fn watch(system: &System, core: usize, ours: &[u32]) -> Reading<Self> {
         let before = Snapshot::take(system, core)?;
         let start = Instant::now();
         std::thread::sleep(WATCHED);
@@ -207,7 +185,8 @@ impl Load {
         seconds: f64,
         ours: &[u32],
     ) -> Self {
-        let total = since(&before.cores, &after.cores, core).total;
+        let cores = core_loads(&before.cores, &after.cores);
+        let total = cores.get(&core).map_or(0, |load| load.ticks);
         let mut threads: Vec<Thread> = after.threads.into_values().collect();
         threads.retain(|thread| !ours.contains(&thread.process));
         for thread in &mut threads {
@@ -217,53 +196,21 @@ impl Load {
             thread.share = share(used, total);
         }
         threads.sort_by(|a, b| b.share.total_cmp(&a.share));
-        let rate = |(label, (description, now)): (String, (String, u64))| {
-            let earlier = before.interrupts.get(&label).map_or(0, |(_, count)| *count);
-            let rate_hz = now.saturating_sub(earlier) as f64 / seconds.max(1e-3);
-            InterruptRate {
-                label,
-                description,
-                rate_hz,
-            }
-        };
-        let mut interrupts: Vec<_> = after.interrupts.into_iter().map(rate).collect();
-        interrupts.retain(|rate| rate.rate_hz > 0.0);
+        let mut interrupts = after.interrupts;
+        for interrupt in &mut interrupts {
+            let mut earlier = before.interrupts.iter();
+            let old = earlier.find(|old| old.label == interrupt.label);
+            let count = interrupt
+                .count
+                .saturating_sub(old.map_or(0, |old| old.count));
+            interrupt.rate_hz = count as f64 / seconds.max(1e-3);
+        }
+        interrupts.retain(|interrupt| interrupt.rate_hz > 0.0);
         interrupts.sort_by(|a, b| b.rate_hz.total_cmp(&a.rate_hz));
         Self {
-            cores: core_loads(&before.cores, &after.cores),
+            cores,
             threads,
             interrupts,
         }
     }
-}
-
-/// The time of a core between two readings. Counters that run backwards (of a core that was off) count as
-/// zero.
-fn since(before: &Cores, after: &Cores, core: usize) -> CoreTicks {
-    let [before, after] =
-        [before, after].map(|cores| cores.get(&core).copied().unwrap_or_default());
-    CoreTicks {
-        busy: after.busy.saturating_sub(before.busy),
-        steal: after.steal.saturating_sub(before.steal),
-        total: after.total.saturating_sub(before.total),
-    }
-}
-
-/// 0 to 1; 0 if `total` is 0.
-fn share(part: u64, total: u64) -> f64 {
-    (part as f64 / total.max(1) as f64).min(1.0)
-}
-
-/// Shares of each core's time between two readings.
-pub(super) fn core_loads(before: &Cores, after: &Cores) -> BTreeMap<usize, CoreLoad> {
-    let loads = after.iter().map(|(core, since_start)| {
-        let ticks = since(before, after, *core);
-        let load = CoreLoad {
-            busy: share(ticks.busy, ticks.total),
-            steal: share(ticks.steal, ticks.total),
-            steal_since_start: share(since_start.steal, since_start.total),
-        };
-        (*core, load)
-    });
-    loads.collect()
 }

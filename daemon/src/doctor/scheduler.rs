@@ -2,28 +2,12 @@
 
 use cdcr_shared_types::proc_stat::chosen;
 
-use crate::core_budget::{CoreBudget, Costs, KERNEL_SHARE};
-
 use super::Severity::{Unknown, Warning};
-use super::finding::{Assessed, problem};
+use super::finding::{Assessed, problem, warn_unless};
 use super::privileges::may_have_priority;
-use super::{Scene, System};
-
-/// Run time of real-time threads per period of the limit \[µs\]; -1: no limit.
-const RT_RUNTIME_US: &str = "/proc/sys/kernel/sched_rt_runtime_us";
-
-/// The share of a core that the kernel leaves to real-time threads. Without a limit (-1) the default one
-/// applies: otherwise ordinary tasks on the core would starve, including those of the kernel.
-pub(crate) fn kernel_share(system: &System) -> Assessed<f64> {
-    let runtime_us = system.number(RT_RUNTIME_US)?;
-    let period_us = system.number("/proc/sys/kernel/sched_rt_period_us")?;
-    let share = runtime_us as f64 / period_us.max(1) as f64;
-    Ok(if runtime_us < 0 {
-        KERNEL_SHARE
-    } else {
-        share.min(KERNEL_SHARE)
-    })
-}
+use super::{Reading, Scene};
+use crate::core_budget::{CoreBudget, Costs};
+use crate::system::RT_RUNTIME_US;
 
 /// Below this period, microseconds matter \[ms\]. From this period on, a fully pre-emptible kernel and the
 /// tick are good enough.
@@ -34,36 +18,24 @@ pub(super) fn preemption(scene: &Scene) -> Assessed {
     let version = system.read("/proc/sys/kernel/version")?;
     let flag = system.read_if_there("/sys/kernel/realtime")?;
     let has = |word| version.contains(word);
-    if has("PREEMPT_RT") || flag.as_deref() == Some("1") {
-        Ok("PREEMPT_RT".to_owned())
+    let (model, value) = if has("PREEMPT_RT") || flag.as_deref() == Some("1") {
+        return Ok("PREEMPT_RT".to_owned());
     } else if has("PREEMPT_DYNAMIC") {
-        dynamic_preemption(scene)
+        let Some((model, since)) = dynamic_preemption(scene)? else {
+            return problem!(Unknown, "dynamic, cannot read the current model"
+                => "sudo mount -t debugfs none /sys/kernel/debug; sudo cat /sys/kernel/debug/sched/preempt");
+        };
+        (model.clone(), format!("dynamic, {model}{since}"))
     } else if has("PREEMPT") {
-        of_model(scene, "full", "PREEMPT")
+        ("full".to_owned(), "PREEMPT".to_owned())
     } else {
         let value = "none or voluntary, fixed when the kernel was built";
-        of_model(scene, "none", value)
-    }
-}
-
-/// The model can be chosen at run time; the file with the present model is readable for root only.
-fn dynamic_preemption(scene: &Scene) -> Assessed {
-    let text = scene.system.read("/sys/kernel/debug/sched/preempt");
-    if let Some(model) = chosen(&text.unwrap_or_default(), ['(', ')']) {
-        return of_model(scene, model, &format!("dynamic, {model}"));
-    }
-    if let Some(model) = scene.system.boot_option("preempt")? {
-        return of_model(scene, &model, &format!("dynamic, {model} at boot"));
-    }
-    problem!(Unknown, "dynamic, cannot read the current model"
-        => "sudo mount -t debugfs none /sys/kernel/debug; sudo cat /sys/kernel/debug/sched/preempt")
-}
-
-fn of_model(scene: &Scene, model: &str, value: &str) -> Assessed {
+        ("none".to_owned(), value.to_owned())
+    };
     let period_ms = scene.period_ms();
     // The lazy model delays ordinary threads only.
-    match model {
-        "full" | "lazy" if period_ms >= PERIOD_MS_FINE => Ok(value.to_owned()),
+    match &*model {
+        "full" | "lazy" if period_ms >= PERIOD_MS_FINE => Ok(value),
         "full" | "lazy" => problem!(Warning, "{value}; the period is {period_ms} ms"
             => "install a kernel with PREEMPT_RT"),
         _ => problem!(Warning, "{value}"
@@ -72,8 +44,18 @@ fn of_model(scene: &Scene, model: &str, value: &str) -> Assessed {
     }
 }
 
+/// The model that was chosen at run time (its file is readable for root only), or at boot.
+fn dynamic_preemption(scene: &Scene) -> Reading<Option<(String, &'static str)>> {
+    let text = scene.system.read("/sys/kernel/debug/sched/preempt");
+    if let Some(model) = chosen(&text.unwrap_or_default(), ['(', ')']) {
+        return Ok(Some((model.to_owned(), "")));
+    }
+    let at_boot = scene.system.boot_option("preempt")?;
+    Ok(at_boot.map(|model| (model, " at boot")))
+}
+
 pub(super) fn rt_throttling(scene: &Scene) -> Assessed {
-    let share = kernel_share(&scene.system)?;
+    let share = scene.system.kernel_share()?;
     if scene.system.number(RT_RUNTIME_US)? < 0 {
         return problem!(Warning, "off: a hung loop blocks the core"
             => "sudo sysctl kernel.sched_rt_runtime_us=950000");
@@ -88,10 +70,12 @@ pub(super) fn rt_throttling(scene: &Scene) -> Assessed {
         100.0 * budget.share_max(),
         budget.describe(costs)
     );
-    if budget.solve_ns(costs) == usual.solve_ns(costs) {
-        return Ok(value);
-    }
-    problem!(Warning, "{value}" => "sudo sysctl kernel.sched_rt_runtime_us=950000")
+    let is_usual = budget.solve_ns(costs) == usual.solve_ns(costs);
+    warn_unless(
+        is_usual,
+        value,
+        "sudo sysctl kernel.sched_rt_runtime_us=950000",
+    )
 }
 
 pub(super) fn rt_group(scene: &Scene) -> Assessed {
@@ -109,7 +93,7 @@ pub(super) fn rt_group(scene: &Scene) -> Assessed {
 
 /// File and real-time runtime of this process's control group, if the kernel has version 1 of control groups
 /// with real-time groups.
-fn group_runtime_us(scene: &Scene) -> Assessed<Option<(String, i64)>> {
+fn group_runtime_us(scene: &Scene) -> Reading<Option<(String, i64)>> {
     let system = &scene.system;
     let has_cpu = |list: &str| list.split(',').any(|name| name == "cpu");
     // Lines `1:cpu,cpuacct:/group`.
@@ -175,19 +159,4 @@ pub(super) fn sysctls(scene: &Scene) -> Assessed {
     }
     let [values, settings] = [values.join("; "), settings.join(" ")];
     problem!(Warning, "{values}" => "sudo sysctl {settings}   (permanently: /etc/sysctl.d/)")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::tests::Machine;
-    use super::*;
-
-    #[test]
-    fn the_kernels_share_is_read_and_no_limit_is_the_default_one() {
-        let machine = Machine::new(&[("/proc/sys/kernel/sched_rt_period_us", "1000000")]);
-        for (runtime_us, share) in [("500000", 0.5), ("1000000", 0.95), ("-1", 0.95)] {
-            machine.write(RT_RUNTIME_US, runtime_us);
-            assert_eq!(kernel_share(&machine.scene.system), Ok(share));
-        }
-    }
 }

@@ -4,19 +4,19 @@ use std::collections::HashSet;
 use std::fs::{Permissions, set_permissions};
 use std::os::unix::fs::PermissionsExt;
 
-use cdcr_scratch::Scratch;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, from_value, to_value};
 
-use super::core_choice::choose;
 use super::sample::Snapshot;
 use super::*;
 use crate::config::Config;
+use crate::system::choose;
+use crate::system::tests::Files;
 
 /// A scene over a folder that replaces the system's files.
 pub(super) struct Machine {
-    folder: Scratch,
+    pub(super) files: Files,
     /// All trials succeed, core 1 is idle, real time is preferred.
     pub(super) scene: Scene,
     before: Snapshot,
@@ -24,7 +24,7 @@ pub(super) struct Machine {
 
 impl Machine {
     pub(super) fn new(files: &[(&str, &str)]) -> Self {
-        let folder = Scratch::temporary().unwrap();
+        let files = Files::new(files);
         let mut config = Config::default();
         config.realtime.core = 1;
         config.realtime.mode = RealtimeMode::Prefer;
@@ -44,27 +44,16 @@ impl Machine {
             user_id: rustix::process::geteuid().as_raw(),
         };
         let scene = Scene {
-            system: System(folder.path().to_owned()),
+            system: files.system.clone(),
             validated: config.check().unwrap(),
             probe,
             load: Ok(Load::default()),
         };
-        let machine = Self {
-            folder,
+        Self {
+            files,
             scene,
             before: Snapshot::default(),
-        };
-        for (path, text) in files {
-            machine.write(path, text);
         }
-        machine
-    }
-
-    pub(super) fn write(&self, path: &str, text: &str) {
-        let path = self.scene.system.path(path);
-        assert!(path.starts_with(self.folder.path()));
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(path, text).unwrap();
     }
 
     /// The finding of the check with this key.
@@ -79,7 +68,7 @@ impl Machine {
         match rest.strip_prefix('=').map(str::trim_start) {
             Some(text) if name.starts_with('/') => {
                 let text = text.replace("\\n", "\n").replace("\\t", "\t");
-                self.write(name, &text.replace("\\0", "\0"));
+                self.files.write(name, text.replace("\\0", "\0"));
             }
             Some(mode) if name == "mode" => {
                 let mode = Permissions::from_mode(u32::from_str_radix(mode, 8).unwrap());
@@ -114,7 +103,12 @@ impl Machine {
         let (core, option) = words.split_once(' ').unwrap_or((words, ""));
         let ours = option.strip_prefix("ours=").map(|id| id.parse().unwrap());
         let refused = CoreSet::parse(option.strip_prefix("refused=").unwrap_or_default());
-        let chosen = choose(&self.scene.system, ours, |core| !refused.contains(core));
+        let chosen = choose(
+            &self.scene.system,
+            ours,
+            |core| !refused.contains(&core),
+            || (),
+        );
         assert_eq!(chosen, core.parse().ok());
     }
 

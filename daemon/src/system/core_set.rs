@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fmt;
+use std::ops::Deref;
 
 /// No machine has more cores. Limit for `all`, and for invalid lists.
 const CORES_MAX: usize = 8192;
@@ -18,22 +19,18 @@ impl CoreSet {
         Self(parts.flat_map(range_of).collect())
     }
 
-    pub(crate) fn contains(&self, core: usize) -> bool {
-        self.0.contains(&core)
-    }
-
-    pub(crate) fn count(&self) -> usize {
-        self.0.len()
-    }
-
     #[must_use]
     pub(crate) fn without(&self, core: usize) -> Self {
-        Self(self.iter().filter(|other| *other != core).collect())
+        let others = self.iter().filter(|other| **other != core);
+        Self(others.copied().collect())
     }
+}
 
-    /// The cores in ascending order.
-    pub(crate) fn iter(&self) -> impl Iterator<Item = usize> {
-        self.0.iter().copied()
+impl Deref for CoreSet {
+    type Target = BTreeSet<usize>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
     }
 }
 
@@ -51,10 +48,10 @@ fn range_of(part: &str) -> std::ops::Range<usize> {
 /// In the kernel's notation; the empty set is `none`.
 impl fmt::Display for CoreSet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.0.is_empty() {
+        if self.is_empty() {
             return f.write_str("none");
         }
-        let cores: Vec<usize> = self.iter().collect();
+        let cores: Vec<usize> = self.iter().copied().collect();
         let runs = cores.chunk_by(|core, next| core + 1 == *next);
         let words = runs.map(|run| match run {
             [first, .., last] => format!("{first}-{last}"),
@@ -69,19 +66,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lists_are_read_as_the_kernel_writes_them() {
+    fn lists_are_read_as_the_kernel_writes_them_and_nonsense_is_the_empty_set() {
         for list in ["0", "0-3", "0-3,8", "1,3,5-7"] {
             assert_eq!(CoreSet::parse(list).to_string(), list);
         }
         assert_eq!(CoreSet::parse("2,3 ,4\n").to_string(), "2-4");
-        assert!(CoreSet::parse("managed_irq,domain,2").contains(2));
-        assert!(CoreSet::parse("all").contains(5));
-    }
-
-    #[test]
-    fn nonsense_is_the_empty_set() {
+        assert!(CoreSet::parse("managed_irq,domain,2").contains(&2));
+        assert!(CoreSet::parse("all").contains(&5));
         for list in ["", "\n", "(null)", "-", "3-", "9-2", "0-99999999999", "x-y"] {
-            assert_eq!(CoreSet::parse(list).count(), 0, "{list:?}");
+            assert!(CoreSet::parse(list).is_empty(), "{list:?}");
         }
     }
 }
