@@ -27,7 +27,7 @@ impl BendShare {
         share: 0.0,
     };
 
-    pub(crate) fn of(robot: &Robot, at: &Configuration) -> Self {
+    pub(crate) fn largest(robot: &Robot, at: &Configuration) -> Self {
         let sections = robot.sections().iter().enumerate();
         let shares = sections.map(|(section, parameters)| Self {
             section,
@@ -41,7 +41,7 @@ impl BendShare {
     pub(crate) fn at_limit_of(record: &Telemetry) -> Option<Self> {
         let robot = robot_of(&record.robot).ok()?;
         let here = Configuration::from_slice(record.bend_rad.get(..robot.coordinate_count())?)?;
-        Self::of(&robot, &here).at_limit()
+        Self::largest(&robot, &here).at_limit()
     }
 
     pub(crate) fn larger(self, other: Self) -> Self {

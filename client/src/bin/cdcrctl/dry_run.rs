@@ -299,7 +299,7 @@ impl Motion {
         for j in 0..closed.robot().section_count() {
             self.bend_rad = self.bend_rad.max(closed.configuration().bend_rad(j));
         }
-        let bend_share = BendShare::of(closed.robot(), closed.configuration());
+        let bend_share = BendShare::largest(closed.robot(), closed.configuration());
         self.bend_share = self.bend_share.larger(bend_share);
         let strokes_m = closed.robot().cable_strokes(closed.configuration());
         let largest_m = strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()));

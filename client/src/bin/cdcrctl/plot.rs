@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::Done;
 use crate::args::{PlotOptions, Target, Topic};
-use crate::echo::field::{check, of, without_null};
+use crate::echo::field::{check, select, without_null};
 use crate::echo::{LineFormat, Watch, json, paced, watch};
 
 /// Maximum size of a datagram, so that no receiver truncates it.
@@ -68,7 +68,7 @@ fn packet(sent_ns: u64, message: Value, fields: &[String]) -> anyhow::Result<Str
     let chosen = if fields.is_empty() {
         message
     } else {
-        of(&message, fields)?
+        select(&message, fields)?
     };
     let mut chosen = without_null(chosen).unwrap_or_else(|| json!({}));
     chosen["timestamp"] = json!(sent_ns as f64 * 1e-9);

@@ -122,7 +122,7 @@ fn offset_mm(record: &Telemetry) -> f64 {
 
 /// Names the bend limit that keeps the tip from getting nearer than in the configuration `found`.
 fn limit(robot: &Robot, found: &Configuration) -> String {
-    let bend = BendShare::of(robot, found).at_limit();
+    let bend = BendShare::largest(robot, found).at_limit();
     bend.map_or_else(String::new, |bend| format!(": {bend}"))
 }
 

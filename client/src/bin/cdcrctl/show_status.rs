@@ -213,7 +213,7 @@ fn place(out: &mut String, status: &Status) -> std::fmt::Result {
         let error = 1e3 * status.measured_error_m;
         write!(out, "; measured {error:.3} mm from it")?;
     }
-    if let Some(unheard) = Unheard::of(status) {
+    if let Some(unheard) = Unheard::from_status(status) {
         write!(out, "; {unheard}")?;
     } else if let Some(cause) = unused_tip(status) {
         write!(out, "; the measured tip is not in use: {cause}")?;

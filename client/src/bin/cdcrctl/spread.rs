@@ -11,7 +11,7 @@ pub(crate) struct Spread {
 impl Spread {
     /// Nearest rank: the smallest value that is not exceeded by at least this share of all values. `None`
     /// without values.
-    pub(crate) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
+    pub(crate) fn from_values(values: impl Iterator<Item = f64>) -> Option<Self> {
         let mut sorted: Vec<f64> = values.collect();
         sorted.sort_unstable_by(f64::total_cmp);
         let at = |share: f64| {
@@ -33,7 +33,7 @@ mod tests {
     #[test]
     fn percentiles_are_exact() {
         let of = |values: &[f64]| {
-            let spread = Spread::of(values.iter().copied())?;
+            let spread = Spread::from_values(values.iter().copied())?;
             Some([spread.p50, spread.p99, spread.max])
         };
         let many: Vec<f64> = (1..=200).rev().map(f64::from).collect();

@@ -21,7 +21,7 @@ pub(crate) enum Unheard {
 }
 
 impl Unheard {
-    pub(crate) fn of(status: &Status) -> Option<Self> {
+    pub(crate) fn from_status(status: &Status) -> Option<Self> {
         if status.tip_measured_ns == 0 {
             let is_missed = status.has_tip_sensor != 0 && status.mode != Mode::Starting.code();
             return is_missed.then_some(Self::Never);
@@ -43,7 +43,7 @@ impl fmt::Display for Unheard {
 
 /// Of a sensor that does not measure: how many of its measurements were refused, why, and what to do.
 pub(crate) fn refused_text(status: &Status) -> Option<String> {
-    let unheard = Unheard::of(status)?;
+    let unheard = Unheard::from_status(status)?;
     match Outcome::try_from(status.tip_refused_by) {
         Ok(Outcome::Accepted) | Err(_) => (unheard == Unheard::Never).then(|| {
             "no measurement of the tip arrived: check that the tip sensor runs and sends (docs/drivers.md)"
@@ -59,7 +59,7 @@ pub(crate) fn refused_text(status: &Status) -> Option<String> {
 
 /// Why the tip of a record is that of the model; `None`: it is measured, or no sensor is to measure it.
 pub(crate) fn cause(status: &Status, record: &Telemetry) -> Option<String> {
-    if let Some(unheard) = Unheard::of(status) {
+    if let Some(unheard) = Unheard::from_status(status) {
         return Some(unheard.to_string());
     }
     let cause = TipCause::try_from(record.tip_cause).ok()?;
@@ -108,7 +108,7 @@ mod tests {
             (2_900_000_000, Some(Unheard::Silent { seconds: 5 })),
         ] {
             status.tip_measured_ns = measured_ns;
-            assert_eq!(Unheard::of(&status), unheard);
+            assert_eq!(Unheard::from_status(&status), unheard);
         }
         assert_eq!(refused_text(&status), None);
     }
@@ -147,7 +147,7 @@ mod tests {
             has_tip_sensor: 1,
             ..Status::default()
         };
-        assert_eq!(Unheard::of(&status), Some(Unheard::Never));
+        assert_eq!(Unheard::from_status(&status), Some(Unheard::Never));
         assert!(refused_text(&status).is_some_and(|text| text.contains("runs and sends")));
         status.tips_refused = 7;
         status.tip_refused_by = Outcome::InTheFuture.code();
@@ -164,9 +164,9 @@ mod tests {
         assert_eq!(cause, "no tip measurement accepted yet");
         // The daemon waits for its driver, or no sensor is to measure the tip.
         status.mode = Mode::Starting.code();
-        assert_eq!(Unheard::of(&status), None);
+        assert_eq!(Unheard::from_status(&status), None);
         status.mode = Mode::Holding.code();
         status.has_tip_sensor = 0;
-        assert_eq!(Unheard::of(&status), None);
+        assert_eq!(Unheard::from_status(&status), None);
     }
 }

@@ -65,7 +65,7 @@ pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Do
     }
     let connection = target.connect()?;
     let before = rests(&mut connection.telemetry()?)?;
-    check_sensors(Sensors::of(&before))?;
+    check_sensors(Sensors::from_record(&before))?;
     let bounds = Bounds::new(&robot_of(&before.robot)?, options);
     check_bends(&before, bounds.bend_rad)?;
     let (excitation, demands) = plan(&connection, &before, bounds, options)?;

@@ -41,7 +41,7 @@ pub(super) fn run(target: &Target, options: &NoiseOptions) -> anyhow::Result<Don
     let connection = target.connect()?;
     let mut telemetry = connection.telemetry()?;
     let first = rests(&mut telemetry)?;
-    let sensors = Sensors::of(&first);
+    let sensors = Sensors::from_record(&first);
     ensure!(
         sensors.cables || sensors.tip,
         "measured: {}; there is no noise to measure",

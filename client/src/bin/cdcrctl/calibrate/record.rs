@@ -71,7 +71,7 @@ pub(super) struct Rows {
 impl Rows {
     /// Creates a file for measurements from the cycle of `first` on.
     pub(super) fn create(output: &Path, first: &Telemetry) -> anyhow::Result<Self> {
-        check_sensors(Sensors::of(first))?;
+        check_sensors(Sensors::from_record(first))?;
         let cables = 3 * first.command.sections as usize;
         let name = output.display().to_string();
         let file = new_file(output, OR)?;

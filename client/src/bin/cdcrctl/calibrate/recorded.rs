@@ -57,7 +57,7 @@ impl Records {
         Self {
             robot: first.robot,
             play_m: first.play_m,
-            sensors: Sensors::of(first),
+            sensors: Sensors::from_record(first),
             pairs: Pairs::new(first),
             rows: Vec::new(),
             ends_s: None,
@@ -70,7 +70,7 @@ impl Records {
             "the robot changes in cycle {}: record each robot into its own file",
             record.cycle
         );
-        let sensors = Sensors::of(record);
+        let sensors = Sensors::from_record(record);
         self.sensors.cables |= sensors.cables;
         self.sensors.tip |= sensors.tip;
         self.pairs.take(record);

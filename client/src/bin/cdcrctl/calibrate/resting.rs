@@ -52,7 +52,7 @@ pub(super) struct Sensors {
 }
 
 impl Sensors {
-    pub(super) fn of(record: &Telemetry) -> Self {
+    pub(super) fn from_record(record: &Telemetry) -> Self {
         let kind = record.measurement.kind;
         Self {
             cables: kind == MeasurementKind::CableLengths.code(),
@@ -87,7 +87,7 @@ mod tests {
         ] {
             record.measurement.kind = kind.code();
             record.tip_measured_ns = tip_measured_ns;
-            assert_eq!(Sensors::of(&record), Sensors { cables, tip });
+            assert_eq!(Sensors::from_record(&record), Sensors { cables, tip });
         }
     }
 }

@@ -40,7 +40,7 @@ pub(super) struct Cycle {
 impl Cycle {
     /// The cycle of a record. `None` when the daemon did not track, or the release is outside the reference:
     /// the solves before the start are trivial.
-    pub(super) fn of(record: &Telemetry, spiral: &Spiral, start_ns: u64) -> Option<Self> {
+    pub(super) fn from_record(record: &Telemetry, spiral: &Spiral, start_ns: u64) -> Option<Self> {
         let inside = record.reference.state == ReferenceState::Inside.code();
         if record.mode != Mode::Tracking.code() || !inside {
             return None;
@@ -185,7 +185,7 @@ pub(super) mod tests {
                 5_000_000 * k + 1_234_567,
                 1e-10 * (1.0 + noise),
             );
-            let mut cycle = Cycle::of(&record, &spiral, 1_000_000_000)?;
+            let mut cycle = Cycle::from_record(&record, &spiral, 1_000_000_000)?;
             cycle.number = k;
             cycle.wake_us += 60.0 * noise.powi(4) + if k % 331 == 330 { 6000.0 } else { 0.0 };
             cycle.solve_us += 25.0 * noise * noise;
@@ -201,7 +201,7 @@ pub(super) mod tests {
     fn the_error_is_against_the_exact_curve_at_the_release() {
         let spiral = Spiral::for_sections(&[0.3]);
         let record = record(&spiral, 7_000_000_000, 2_501_000, 3e-6);
-        let cycle = Cycle::of(&record, &spiral, 7_000_000_000).expect("tracking");
+        let cycle = Cycle::from_record(&record, &spiral, 7_000_000_000).expect("tracking");
         assert!((cycle.error_m - 3e-6).abs() < 1e-15);
         assert!((cycle.time_s - 0.002_501).abs() < 1e-15);
         assert!((cycle.wake_us - 20.0).abs() < 1e-12);
@@ -214,7 +214,7 @@ pub(super) mod tests {
         let spiral = Spiral::for_sections(&[0.3]);
         let mut record = record(&spiral, 7_000_000_000, 30_000_000, 0.0);
         record.due_ns -= 15_000_000;
-        let cycle = Cycle::of(&record, &spiral, 7_000_000_000).expect("tracking");
+        let cycle = Cycle::from_record(&record, &spiral, 7_000_000_000).expect("tracking");
         assert!((cycle.wake_us - 15_020.0).abs() < 1e-9);
         assert!((cycle.response_us - 15_055.0).abs() < 1e-9);
         assert!((cycle.solve_us - 30.0).abs() < 1e-12);
@@ -224,10 +224,10 @@ pub(super) mod tests {
     fn cycles_that_did_not_track_or_lie_outside_the_reference_do_not_count() {
         let spiral = Spiral::for_sections(&[0.3]);
         let inside = record(&spiral, 0, 0, 0.0);
-        assert!(Cycle::of(&inside, &spiral, 0).is_some());
+        assert!(Cycle::from_record(&inside, &spiral, 0).is_some());
         let mut holding = inside;
         holding.mode = Mode::Holding.code();
-        assert_eq!(Cycle::of(&holding, &spiral, 0), None);
+        assert_eq!(Cycle::from_record(&holding, &spiral, 0), None);
         for state in [
             ReferenceState::None,
             ReferenceState::Before,
@@ -235,7 +235,7 @@ pub(super) mod tests {
         ] {
             let mut outside = inside;
             outside.reference.state = state.code();
-            assert_eq!(Cycle::of(&outside, &spiral, 0), None, "{state:?}");
+            assert_eq!(Cycle::from_record(&outside, &spiral, 0), None, "{state:?}");
         }
     }
 }

@@ -115,7 +115,9 @@ fn feed(
     let feed = connection.feed(spiral, options)?.run(|event| {
         match event {
             FeedEvent::Scheduled { start_ns } => origin_ns = start_ns,
-            FeedEvent::Record(record) => cycles.extend(Cycle::of(record, spiral, origin_ns)),
+            FeedEvent::Record(record) => {
+                cycles.extend(Cycle::from_record(record, spiral, origin_ns));
+            }
             FeedEvent::Progress(progress) => bar.show(&progress, None),
             _ => {}
         }

@@ -72,7 +72,8 @@ impl DemoReport {
         let duration_s = options.duration.as_secs_f64();
         let count = |is: fn(&Cycle) -> bool| cycles.iter().filter(|cycle| is(cycle)).count();
         let (deadline_misses, late_starts) = (count(|c| c.deadline_miss), count(|c| c.late_start));
-        let spread = |of: fn(&Cycle) -> f64| Spread::of(cycles.iter().map(of)).unwrap_or_default();
+        let spread =
+            |of: fn(&Cycle) -> f64| Spread::from_values(cycles.iter().map(of)).unwrap_or_default();
         let causes = MissCauses::new(cycles, &run.incidents);
         let baseline = run.baseline.as_ref().ok();
         let verdict = Diagnosis::new(&causes, baseline, run.steal, status.realtime_missing);

@@ -31,7 +31,7 @@ impl HeldBack {
         if stroke_m > (1.0 - AT_LIMIT) * max_m {
             return Some(Self::Stroke { max_m });
         }
-        if let Some(bend) = BendShare::of(robot, closed.configuration()).at_limit() {
+        if let Some(bend) = BendShare::largest(robot, closed.configuration()).at_limit() {
             return Some(Self::Bend(bend));
         }
         let max_m_s = robot.tip_speed_max_m_s();

@@ -95,7 +95,7 @@ fn get<'a>(message: &'a Value, path: &str) -> anyhow::Result<&'a Value> {
 }
 
 /// The values at several paths, each under its path.
-pub(crate) fn of(message: &Value, paths: &[String]) -> anyhow::Result<Value> {
+pub(crate) fn select(message: &Value, paths: &[String]) -> anyhow::Result<Value> {
     let mut found = Map::new();
     for path in paths {
         found.insert(path.clone(), get(message, path)?.clone());
@@ -153,13 +153,13 @@ mod tests {
         let good = paths(&["cycle", "mode", "tip.1", "tip.9", "report.cost", "tip"]);
         let shown = line(&message, &good).expect("known");
         assert_eq!(shown, "7\ttracking\tnull\tnull\t2.5\t[1.0,null]");
-        let found = of(&message, &paths(&["tip.0", "report"])).expect("known");
+        let found = select(&message, &paths(&["tip.0", "report"])).expect("known");
         assert_eq!(found, json!({"tip.0": 1.0, "report": {"cost": 2.5}}));
         for (bad, part) in [
             ("tip.x", "use a number from 0"),
             ("cycle.0", "follows a value"),
         ] {
-            let error = of(&message, &paths(&[bad])).expect_err(bad).to_string();
+            let error = select(&message, &paths(&[bad])).expect_err(bad).to_string();
             assert!(error.contains(part), "{error}");
         }
     }

@@ -127,7 +127,9 @@ impl Watch for EchoOptions {
                 (Format::Text, []) => (format.line)(message),
                 (Format::Text, fields) => field::line(&json::message(message), fields)?,
                 (Format::Json, []) => json::message(message).to_string(),
-                (Format::Json, fields) => field::of(&json::message(message), fields)?.to_string(),
+                (Format::Json, fields) => {
+                    field::select(&json::message(message), fields)?.to_string()
+                }
             };
             let heading = heading.take().map(|heading| heading + "\n");
             writeln!(out, "{}{shown}", heading.unwrap_or_default())?;

@@ -14,7 +14,7 @@ pub(super) struct Invocation {
 
 impl Invocation {
     /// For the daemon with this process id; `None` in another container.
-    pub(super) fn of(process_id: u32) -> Option<Self> {
+    pub(super) fn from_process(process_id: u32) -> Option<Self> {
         let process = PathBuf::from(format!("/proc/{process_id}"));
         let name = fs::read_to_string(process.join("comm")).ok()?;
         let words = words(&fs::read(process.join("cmdline")).ok()?);

@@ -178,7 +178,7 @@ fn head(robot: &str, status: &Status, offset_ns: u64) -> anyhow::Result<Head> {
     head.attach("settings.toml", "application/toml", settings.into_bytes());
     let snapshot = json::message(status).to_string();
     head.attach("status.json", "application/json", snapshot.into_bytes());
-    if let Some(started) = Invocation::of(status.process_id) {
+    if let Some(started) = Invocation::from_process(status.process_id) {
         let how = started.json().to_string().into_bytes();
         head.attach("daemon.json", "application/json", how);
         if let Some(text) = started.configuration() {

@@ -33,7 +33,7 @@ impl Recent {
     /// Percentiles of the kept finite values.
     pub(super) fn percentiles(&self) -> Option<Spread> {
         let values = self.values.iter().copied();
-        Spread::of(values.filter(|value| value.is_finite()))
+        Spread::from_values(values.filter(|value| value.is_finite()))
     }
 
     /// The largest value of each of `count` stretches of equal length, the newest last; `None` for a stretch
@@ -60,7 +60,7 @@ impl Recent {
 mod tests {
     use super::*;
 
-    fn of(kept: usize, values: impl IntoIterator<Item = f64>) -> Recent {
+    fn filled(kept: usize, values: impl IntoIterator<Item = f64>) -> Recent {
         let mut recent = Recent::new(kept);
         values.into_iter().for_each(|value| recent.push(value));
         recent
@@ -68,28 +68,28 @@ mod tests {
 
     #[test]
     fn percentiles_are_of_what_is_kept_and_finite() {
-        assert_eq!(of(5, [f64::NAN]).percentiles(), None);
-        let recent = of(100, (0..=200).map(f64::from));
+        assert_eq!(filled(5, [f64::NAN]).percentiles(), None);
+        let recent = filled(100, (0..=200).map(f64::from));
         let percentiles = recent.percentiles().expect("there are values");
         assert_eq!(
             (percentiles.p50, percentiles.p99, percentiles.max),
             (150.0, 199.0, 200.0)
         );
-        let one = of(9, [7.0, f64::INFINITY]).percentiles().expect("one");
+        let one = filled(9, [7.0, f64::INFINITY]).percentiles().expect("one");
         assert_eq!((one.p50, one.p99, one.max), (7.0, 7.0, 7.0));
     }
 
     #[test]
     fn columns_hold_the_most_of_their_stretch_and_do_not_flicker() {
-        let recent = of(8, [1.0, 2.0, 3.0, 4.0, 5.0]);
+        let recent = filled(8, [1.0, 2.0, 3.0, 4.0, 5.0]);
         assert_eq!(recent.columns(4), [None, Some(2.0), Some(4.0), Some(5.0)]);
-        let later = of(8, [1.0, 2.0, 3.0, 4.0, 5.0, 1.0, 0.5]);
+        let later = filled(8, [1.0, 2.0, 3.0, 4.0, 5.0, 1.0, 0.5]);
         assert_eq!(
             later.columns(4),
             [Some(2.0), Some(4.0), Some(5.0), Some(0.5)]
         );
-        assert_eq!(of(8, [f64::NAN, 1.0]).columns(2), [None, Some(1.0)]);
-        assert!(of(8, [1.0]).columns(0).is_empty());
+        assert_eq!(filled(8, [f64::NAN, 1.0]).columns(2), [None, Some(1.0)]);
+        assert!(filled(8, [1.0]).columns(0).is_empty());
         assert_eq!(Recent::default().columns(3), [None; 3]);
     }
 }

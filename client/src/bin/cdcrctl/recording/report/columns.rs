@@ -4,21 +4,21 @@ pub(super) trait Merge {
     fn merge(&mut self, later: Self);
 }
 
-/// Values in columns of equal duration. When the recording needs more columns than `room`, their width
+/// Values in columns of equal duration. When the recording needs more columns than `count_max`, their width
 /// doubles. So any recording takes the same memory and is read once.
 #[derive(Debug)]
 pub(super) struct Columns<T> {
-    room: usize,
+    count_max: usize,
     first_ns: u64,
     width_ns: u64,
     filled: Vec<Option<T>>,
 }
 
 impl<T: Merge> Columns<T> {
-    /// `room` columns (1 or more) from `first_ns` on, with an initial width of `width_ns`.
-    pub(super) fn new(room: usize, first_ns: u64, width_ns: u64) -> Self {
+    /// `count_max` columns (1 or more) from `first_ns` on, with an initial width of `width_ns`.
+    pub(super) fn new(count_max: usize, first_ns: u64, width_ns: u64) -> Self {
         Self {
-            room,
+            count_max,
             first_ns,
             width_ns: width_ns.max(1),
             filled: Vec::new(),
@@ -28,7 +28,7 @@ impl<T: Merge> Columns<T> {
     /// Adds a value. A value before the first column is added to that column.
     pub(super) fn take(&mut self, time_ns: u64, value: T) {
         let since_ns = time_ns.saturating_sub(self.first_ns);
-        while since_ns / self.width_ns >= self.room as u64 {
+        while since_ns / self.width_ns >= self.count_max as u64 {
             self.widen();
         }
         let index = (since_ns / self.width_ns) as usize;
