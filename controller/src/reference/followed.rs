@@ -97,8 +97,10 @@ impl FollowedReference {
             self.plan(&limits, window, now, tip);
         }
         let reference = window.ahead(now.cycle, steps);
-        self.measure_speed(reference, now);
-        let pace_m_s = self.pace_m_s();
+        let pace_m_s = self.limits.map_or(f64::INFINITY, |limits| {
+            self.measure_speed(reference, now);
+            self.speed_m_s + limits.speed_m_s
+        });
         if !self.approach.is_active() && *offset_m == Vector3::zeros() {
             return Followed {
                 samples: reference,
@@ -114,11 +116,6 @@ impl FollowedReference {
                 .moved(&-offset_m);
         }
         Followed { samples, pace_m_s }
-    }
-
-    fn pace_m_s(&self) -> f64 {
-        self.limits
-            .map_or(f64::INFINITY, |limits| self.speed_m_s + limits.speed_m_s)
     }
 
     fn measure_speed(&mut self, reference: &[ReferenceSample], now: GridPoint) {
