@@ -85,3 +85,66 @@ pub(super) fn hold_undetermined(
         });
     }
 }
+
+/// Indices of parameters that are held for lack of data, and so as uncertain as is plausible. The turn of the base about
+/// z and the distance of the sensor along the tip are not among them: no path determines those from positions, and
+/// the user measures or chooses them.
+pub(super) fn uncertain(held: &[Held]) -> impl Iterator<Item = usize> {
+    let is_uncertain = |held: &&Held| {
+        let is_chosen = matches!(
+            held.parameter,
+            Parameter::BaseRotation(2) | Parameter::SensorPosition(2)
+        );
+        held.why != Why::Asked && !is_chosen
+    };
+    held.iter()
+        .filter(is_uncertain)
+        .map(|held| held.parameter.index())
+}
+
+/// Covariance of the estimates in units of the plausible errors, which the parameters held for lack of data have.
+pub(super) fn covariance(
+    square: &Square,
+    scale: &[f64; PARAMETERS_MAX],
+    active: &[usize],
+    held: &[Held],
+) -> Option<Square> {
+    let all: Vec<_> = active.iter().copied().chain(uncertain(held)).collect();
+    let mut square = scaled(square, &all, scale);
+    for index in uncertain(held) {
+        square[(index, index)] += 1.0;
+    }
+    square.try_inverse()
+}
+
+/// Removes the parameters from `active` that plausible errors of the held ones change too much to be determined.
+pub(super) fn hold_uncertain(
+    square: &Square,
+    scale: &[f64; PARAMETERS_MAX],
+    active: &mut Vec<usize>,
+    held: &mut Vec<Held>,
+) -> Option<()> {
+    let covariance = covariance(square, scale, active, held)?;
+    let deviation = |index: usize| covariance[(index, index)].sqrt();
+    let (kept, lost): (Vec<_>, Vec<_>) = active
+        .iter()
+        .partition(|&&index| DETERMINED_MIN * deviation(index) < 1.0);
+    let others: Vec<_> = uncertain(held).collect();
+    for index in lost {
+        let share = |other: &usize| covariance[(index, *other)].abs() / deviation(*other);
+        let largest = others.iter().map(share).fold(0.0, f64::max);
+        let combined = others
+            .iter()
+            .filter(|&other| share(other) >= COMPONENT_SHARE * largest);
+        held.push(Held {
+            parameter: Parameter::from_index(index),
+            why: Why::Undetermined(
+                combined
+                    .map(|&other| Parameter::from_index(other))
+                    .collect(),
+            ),
+        });
+    }
+    *active = kept;
+    Some(())
+}

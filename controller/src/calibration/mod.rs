@@ -5,11 +5,13 @@
 //! one that places the tip where it was measured (weighted non-linear least squares). Cable noise is part of the
 //! weights: at 12.5 mm from the backbone, 30 µm move the tip of a robot of one metre by more than a millimetre.
 //!
-//! Parameters that the rows do not determine keep their configured value and are listed: [`Calibration::held`]. For
-//! example, no row distinguishes a turn of the base about z from the same turn of all cables.
+//! Parameters that the rows do not determine keep their configured value and are listed: [`Calibration::held`]. So are those
+//! that depend on the errors of such parameters. For example, no row distinguishes a turn of the base about z from the
+//! same turn of all cables.
 //!
 //! Invariant: nothing here knows a file, a unit other than SI, or a robot's mode.
 
+mod error;
 mod fit;
 mod geometry;
 mod held;
@@ -18,18 +20,18 @@ mod play;
 mod prediction;
 
 use nalgebra::Vector3;
-use thiserror::Error;
 
-use fit::{Estimated, Square, fit, information, residuals, scaled};
+pub use error::CalibrationError;
+use fit::{Estimated, Square, fit, information, residuals};
 pub use geometry::{Geometry, PARAMETERS_MAX, Parameter, ParameterGroup};
-use held::hold_undetermined;
 pub use held::{Held, Why};
+use held::{covariance, hold_uncertain, hold_undetermined, uncertain};
 pub use noise::Noise;
 pub use play::behind_play;
 pub use prediction::CalibrationRow;
 use prediction::{Twist, residual_of};
 
-use crate::robot::{RobotError, RobotParameters};
+use crate::robot::RobotParameters;
 
 /// Minimum number of rows.
 pub const ROWS_MIN: usize = 100;
@@ -42,54 +44,6 @@ const ROUNDS_MAX: usize = 8;
 /// Half-width of the 95 % interval of a normal distribution, in standard deviations.
 const SHARE_95: f64 = 1.96;
 
-/// Reason why calibration failed.
-#[derive(Debug, Clone, PartialEq, Error)]
-pub enum CalibrationError {
-    /// Too few rows.
-    #[error(
-        "{rows} rows are too few: at least {ROWS_MIN} are needed; a minute of motion is recommended"
-    )]
-    TooFewRows {
-        /// Number of rows.
-        rows: usize,
-    },
-    /// A row holds a number that is not finite.
-    #[error("row {row} contains a number that is not finite")]
-    NotFinite {
-        /// Number of the row, from 1.
-        row: usize,
-    },
-    /// The rotation of the tip is measured in some rows only.
-    #[error("row {row} differs from row 1: either all rows include the tip rotation, or none")]
-    MixedRotations {
-        /// Number of the row, from 1.
-        row: usize,
-    },
-    /// The robot did not move.
-    #[error(
-        "no section bends by more than {bend_rad:.4} rad in these rows: move every section in every direction"
-    )]
-    NoMotion {
-        /// Largest bend of a section (rad).
-        bend_rad: f64,
-    },
-    /// The configured robot is not valid.
-    #[error(transparent)]
-    Robot(#[from] RobotError),
-    /// No robot explains the rows.
-    #[error(
-        "no robot near the configured one fits these rows: check that lengths are in m, cables in the order of the \
-         configuration, and tip poses in the base frame"
-    )]
-    NoRobot,
-    /// All parameters are held, by request or because the rows do not determine them.
-    #[error("nothing is left to estimate: {held} parameters are held")]
-    NothingLeft {
-        /// Number of held parameters.
-        held: usize,
-    },
-}
-
 /// Estimate of one parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
@@ -99,7 +53,8 @@ pub struct Estimate {
     pub old: f64,
     /// Estimated value.
     pub value: f64,
-    /// Half-width of the 95 % confidence interval around `value`.
+    /// Half-width of the 95 % confidence interval around `value`. Parameters that the rows do not determine count with
+    /// their plausible errors; the turn of the base about z and the distance of the sensor along the tip do not.
     pub within: f64,
 }
 
@@ -180,16 +135,19 @@ pub fn calibrate(
     };
     let square = information(&at_configured_poses, &fitted, &search.noise, &search.active)
         .ok_or(CalibrationError::NoRobot)?;
-    hold_undetermined(&square, &search.scale, &mut search.active, &mut search.held);
-    if search.active.is_empty() {
-        let held = search.held.len();
-        return Err(CalibrationError::NothingLeft { held });
+    search.hold_undetermined(&square)?;
+    loop {
+        search.reset_held(&configured);
+        search.fit(&configured, &fitted, false, true)?;
+        let kept = search.without_outliers(&fitted)?;
+        search.fit(&configured, &kept, false, false)?;
+        // Again at the geometry that was found, with its wider bounds: there, the rows may determine less.
+        let square = search.information(&kept)?;
+        if search.hold_undetermined(&square)? || search.hold_uncertain(&square)? {
+            continue;
+        }
+        return search.result(&configured, (&fitted, &kept, &held_out), &square);
     }
-    search.reset_held(&configured);
-    search.fit(&configured, &fitted, false, true)?;
-    let kept = search.without_outliers(&fitted)?;
-    search.fit(&configured, &kept, false, false)?;
-    search.result(&configured, &fitted, &kept, &held_out)
 }
 
 /// Rejects rows from which nothing can be estimated.
@@ -232,6 +190,8 @@ struct Search {
     scale: [f64; PARAMETERS_MAX],
     active: Vec<usize>,
     held: Vec<Held>,
+    /// Of the last fit; 1 before.
+    correlation: f64,
 }
 
 impl Search {
@@ -263,6 +223,7 @@ impl Search {
             scale,
             active: active.iter().map(|parameter| parameter.index()).collect(),
             held: asked.iter().map(why).collect(),
+            correlation: 1.0,
         }
     }
 
@@ -293,6 +254,49 @@ impl Search {
         Ok(())
     }
 
+    /// Holds what the rows do not determine. Returns whether that is more than before.
+    fn hold_undetermined(&mut self, square: &Square) -> Result<bool, CalibrationError> {
+        let before = self.held.len();
+        hold_undetermined(square, &self.scale, &mut self.active, &mut self.held);
+        self.more_than(before)
+    }
+
+    /// Holds what errors of the held parameters would change too much. Returns whether that is any.
+    fn hold_uncertain(&mut self, square: &Square) -> Result<bool, CalibrationError> {
+        let before = self.held.len();
+        hold_uncertain(square, &self.scale, &mut self.active, &mut self.held)
+            .ok_or(CalibrationError::NoRobot)?;
+        self.more_than(before)
+    }
+
+    fn more_than(&self, before: usize) -> Result<bool, CalibrationError> {
+        let held = self.held.len();
+        if self.active.is_empty() {
+            let correlation = self.correlation;
+            return Err(CalibrationError::NothingLeft { held, correlation });
+        }
+        Ok(held > before)
+    }
+
+    /// Information of the rows about the estimated parameters and those held for lack of data, less as much as the
+    /// residuals exceed the noise and are correlated.
+    fn information(&mut self, kept: &[&CalibrationRow]) -> Result<Square, CalibrationError> {
+        let no_robot = CalibrationError::NoRobot;
+        let white = residuals(&self.geometry, kept, &self.noise).ok_or(no_robot.clone())?;
+        let numbers = (freedom(kept) * kept.len()) as f64;
+        let squares: f64 = white.iter().map(Twist::norm_squared).sum();
+        let per_number = (squares / numbers).max(f64::MIN_POSITIVE);
+        self.correlation = correlation(&white).sqrt();
+        let all: Vec<_> = self
+            .active
+            .iter()
+            .copied()
+            .chain(uncertain(&self.held))
+            .collect();
+        let square = information(&self.geometry, kept, &self.noise, &all).ok_or(no_robot)?;
+        Ok(square / (per_number * self.correlation.powi(2)))
+    }
+
     /// Resets held parameters to their configured values.
     fn reset_held(&mut self, configured: &Geometry) {
         let mut kept = [0.0; PARAMETERS_MAX];
@@ -321,28 +325,19 @@ impl Search {
     fn result(
         self,
         configured: &Geometry,
-        fitted: &[&CalibrationRow],
-        kept: &[&CalibrationRow],
-        held_out: &[&CalibrationRow],
+        (fitted, kept, held_out): (&[&CalibrationRow], &[&CalibrationRow], &[&CalibrationRow]),
+        square: &Square,
     ) -> Result<Calibration, CalibrationError> {
         let no_robot = CalibrationError::NoRobot;
-        let white = residuals(&self.geometry, kept, &self.noise).ok_or(no_robot.clone())?;
-        let square = information(&self.geometry, kept, &self.noise, &self.active);
-        let covariance = scaled(&square.ok_or(no_robot.clone())?, &self.active, &self.scale)
-            .try_inverse()
-            .ok_or(no_robot.clone())?;
-        let numbers = (freedom(kept) * kept.len()) as f64;
-        let squares: f64 = white.iter().map(Twist::norm_squared).sum();
-        let per_number = squares / numbers;
-        let correlation = correlation(&white).sqrt();
-        let spread = SHARE_95 * per_number.max(f64::MIN_POSITIVE).sqrt() * correlation;
+        let covariance =
+            covariance(square, &self.scale, &self.active, &self.held).ok_or(no_robot.clone())?;
         let estimates = self.active.iter().map(|&index| {
             let parameter = Parameter::from_index(index);
             Estimate {
                 parameter,
                 old: configured.value(parameter),
                 value: self.geometry.value(parameter),
-                within: spread * self.scale[index] * covariance[(index, index)].sqrt(),
+                within: SHARE_95 * self.scale[index] * covariance[(index, index)].sqrt(),
             }
         });
         let estimates: Vec<_> = estimates
@@ -352,11 +347,11 @@ impl Search {
             tip_error(geometry, rows).ok_or(no_robot.clone())
         };
         Ok(Calibration {
-            cable_zeros: self.cable_zeros(&covariance, spread),
+            cable_zeros: self.cable_zeros(&covariance),
             cable_rms_m: cable_rms_m(configured.robot.sections.len(), kept),
             estimates,
             outliers: fitted.len() - kept.len(),
-            correlation,
+            correlation: self.correlation,
             before: [error(configured, kept)?, error(configured, held_out)?],
             after: [
                 error(&self.geometry, kept)?,
@@ -369,7 +364,7 @@ impl Search {
     }
 
     /// Zeros of each cable.
-    fn cable_zeros(&self, covariance: &Square, spread: f64) -> Vec<[(f64, f64); 3]> {
+    fn cable_zeros(&self, covariance: &Square) -> Vec<[(f64, f64); 3]> {
         let zeros = (0..self.geometry.robot.sections.len()).map(|j| {
             let beside_m = self.geometry.section_zeros_m(j);
             core::array::from_fn(|cable| {
@@ -384,7 +379,7 @@ impl Search {
                             * self.scale[index(b)];
                     }
                 }
-                (beside_m[cable], spread * variance.sqrt())
+                (beside_m[cable], SHARE_95 * variance.sqrt())
             })
         });
         zeros.collect()

@@ -32,6 +32,7 @@ mod strangers;
 mod timing;
 mod top;
 mod tutorial;
+mod undetermined;
 mod view;
 
 use std::time::Duration;

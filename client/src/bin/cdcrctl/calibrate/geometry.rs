@@ -1,16 +1,16 @@
 use std::io::Write;
 use std::path::Path;
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use cdcr_client::counted;
 use cdcr_client::model::robot_of;
-use cdcr_controller::calibration::{Calibration, ParameterGroup, calibrate};
+use cdcr_controller::calibration::{Calibration, CalibrationError, ParameterGroup, calibrate};
 use cdcr_controller::robot::{RobotParameters, SectionParameters};
 use cdcr_shared_types::RobotDescription;
 use toml_edit::{DocumentMut, Item};
 
 use super::recording::Recording;
-use super::{recorded, report};
+use super::{advice, recorded, report};
 use crate::Done;
 use crate::args::{Format, GeometryOptions, Target};
 use crate::dry_run::newest;
@@ -27,8 +27,14 @@ pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<
     let play_m = recording.play_m;
     let recording = recording.behind_play(play_m);
     let hold: Vec<ParameterGroup> = options.hold.iter().map(|hold| hold.0).collect();
-    let found: Calibration =
-        calibrate(&robot, &recording.rows, &hold).with_context(|| name.to_string())?;
+    let found = calibrate(&robot, &recording.rows, &hold);
+    if let Err(CalibrationError::NothingLeft { correlation, .. }) = found
+        && options.hold.len() < ParameterGroup::ALL.len()
+    {
+        let advice = advice::text(&robot, &recording, correlation);
+        bail!("{name}: these rows determine no value of the robot; nothing to paste\n{advice}");
+    }
+    let found: Calibration = found.with_context(|| name.to_string())?;
     let mut out = std::io::stdout().lock();
     match options.format {
         Format::Json => writeln!(out, "{:#}", report::json(&robot, &recording, &found))?,

@@ -1,5 +1,6 @@
 //! Records measurements of a robot, and identifies its parameters.
 
+mod advice;
 mod excite;
 mod geometry;
 mod noise;

@@ -4,14 +4,14 @@ use std::fmt::{Error, Write};
 use std::path::Path;
 
 use cdcr_client::counted;
-use cdcr_controller::calibration::{Calibration, Estimate, TipError};
+use cdcr_controller::calibration::{
+    Calibration, Estimate, Geometry, Parameter, ParameterGroup, TipError,
+};
 use cdcr_controller::robot::{RobotParameters, SectionParameters};
 use serde_json::{Value, json};
 
+use super::advice::{self, CORRELATED};
 use super::recording::Recording;
-
-/// From here on the residuals are model errors rather than noise.
-const CORRELATED: f64 = 2.0;
 
 /// Text, with the configuration at the end.
 pub(super) fn text(
@@ -52,7 +52,8 @@ pub(super) fn text(
         .estimates
         .iter()
         .try_for_each(|estimate| parameter(&mut out, estimate))?;
-    for (section, zeros) in found.cable_zeros.iter().enumerate() {
+    let sections = found.cable_zeros.iter().enumerate();
+    for (section, zeros) in sections.filter(|(section, _)| has_zeros(found, *section)) {
         for (cable, (zero_m, within_m)) in zeros.iter().enumerate() {
             let name = format!("zero of cable {} [mm]", 3 * section + cable + 1);
             let (zero, within) = (1e3 * zero_m, 1e3 * within_m);
@@ -88,6 +89,13 @@ pub(super) fn text(
         )?;
     }
     evaluation(&mut out, found)?;
+    if found.held.iter().any(advice::needs_motion) {
+        writeln!(
+            out,
+            "\n{}",
+            advice::text(robot, recording, found.correlation)
+        )?;
+    }
     write!(out, "\n{}", fragment(robot, found)?)?;
     Ok(out)
 }
@@ -107,6 +115,17 @@ fn parameter(out: &mut String, estimate: &Estimate) -> Result<(), Error> {
     let [old, value, within] = [old, value, within].map(|number| scale * number);
     let name = format!("{parameter} [{unit}]");
     writeln!(out, "{name:<36}{old:>14.4}{value:>14.4}{within:>14.4}")
+}
+
+fn is_estimated(found: &Calibration, parameter: Parameter) -> bool {
+    found.held.iter().all(|held| held.parameter != parameter)
+}
+
+/// True if some zero of this section is estimated.
+fn has_zeros(found: &Calibration, section: usize) -> bool {
+    [0, 1]
+        .into_iter()
+        .any(|a| is_estimated(found, Parameter::CableZero(section, a)))
 }
 
 /// Evaluation of the result.
@@ -129,7 +148,10 @@ fn evaluation(out: &mut String, found: &Calibration) -> Result<(), Error> {
         "the three cables of a section agree to {} mm rms, base first",
         rms.join(", ")
     )?;
-    let estimated = found.estimates.len() + 2 * found.cable_zeros.len();
+    let zeros =
+        (0..found.cable_zeros.len()).flat_map(|j| [0, 1].map(|a| Parameter::CableZero(j, a)));
+    let zeros = zeros.filter(|zero| is_estimated(found, *zero)).count();
+    let estimated = found.estimates.len() + zeros;
     writeln!(
         out,
         "\nexcitation: {estimated} parameters estimated; held as configured:"
@@ -154,8 +176,8 @@ fn evaluation(out: &mut String, found: &Calibration) -> Result<(), Error> {
 /// The sections for a configuration, with the old values as comments.
 fn fragment(robot: &RobotParameters, found: &Calibration) -> Result<String, Error> {
     let mut out = String::from("# Replaces all [[robot.sections]] of the configuration:\n");
-    let sections = robot.sections.iter().zip(&found.geometry.robot.sections);
-    for (j, (old, new)) in sections.enumerate() {
+    let configured = Geometry::configured(robot);
+    for (j, new) in found.geometry.robot.sections.iter().enumerate() {
         let SectionParameters {
             bend_max_rad,
             rate_max_rad_s,
@@ -163,26 +185,34 @@ fn fragment(robot: &RobotParameters, found: &Calibration) -> Result<String, Erro
             ..
         } = new;
         writeln!(out, "[[robot.sections]]")?;
-        for (key, old, new) in [
-            ("length_m", old.length_m, new.length_m),
-            ("cable_radius_m", old.cable_radius_m, new.cable_radius_m),
-            (
-                "cable_offset_rad",
-                old.cable_offset_rad,
-                new.cable_offset_rad,
-            ),
+        for (key, parameter) in [
+            ("length_m", Parameter::Length(j)),
+            ("cable_radius_m", Parameter::CableRadius(j)),
+            ("cable_offset_rad", Parameter::CableAngle(j)),
         ] {
-            writeln!(out, "{key} = {new:.7} # was {old}")?;
+            let new = found.geometry.value(parameter);
+            let note = if is_estimated(found, parameter) {
+                "was"
+            } else {
+                "held as configured:"
+            };
+            writeln!(
+                out,
+                "{key} = {new:.7} # {note} {}",
+                configured.value(parameter)
+            )?;
         }
         writeln!(out, "bend_max_rad = {bend_max_rad:?}")?;
         writeln!(out, "rate_max_rad_s = {rate_max_rad_s:?}")?;
         writeln!(out, "body_radius_m = {body_radius_m:?}")?;
-        let zeros = found.cable_zeros[j].map(|(zero_m, _)| format!("{zero_m:.6}"));
-        writeln!(
-            out,
-            "# For the driver, to subtract from measured lengths and add to commanded ones [m]: {}",
-            zeros.join(", ")
-        )?;
+        if has_zeros(found, j) {
+            let zeros = found.cable_zeros[j].map(|(zero_m, _)| format!("{zero_m:.6}"));
+            writeln!(
+                out,
+                "# For the driver, to subtract from measured lengths and add to commanded ones [m]: {}",
+                zeros.join(", ")
+            )?;
+        }
     }
     let pose = |pose: &nalgebra::Isometry3<f64>| {
         let [x, y, z] = pose.translation.vector.into();
@@ -191,16 +221,26 @@ fn fragment(robot: &RobotParameters, found: &Calibration) -> Result<String, Erro
             "at {x:.6}, {y:.6}, {z:.6} m, turned by {qx:.6}, {qy:.6}, {qz:.6}, {qw:.6} (x, y, z, w)"
         )
     };
-    writeln!(
-        out,
-        "# For the driver: the base in the frame of the tip sensor is {}",
-        pose(&found.geometry.base)
-    )?;
-    writeln!(
-        out,
-        "# For the driver: what the sensor sees, in the frame of the tip, is {}",
-        pose(&found.geometry.sensor)
-    )?;
+    let has = |group| {
+        found
+            .estimates
+            .iter()
+            .any(|one| one.parameter.group() == group)
+    };
+    if has(ParameterGroup::Base) {
+        let base = pose(&found.geometry.base);
+        writeln!(
+            out,
+            "# For the driver: the base in the frame of the tip sensor is {base}"
+        )?;
+    }
+    if has(ParameterGroup::Sensor) {
+        let sensor = pose(&found.geometry.sensor);
+        writeln!(
+            out,
+            "# For the driver: what the sensor sees, in the frame of the tip, is {sensor}"
+        )?;
+    }
     Ok(out)
 }
 
