@@ -282,6 +282,24 @@ fn an_exciting_path_that_cannot_be_is_refused_before_anything_moves() {
         .checked(EXCITE, 1, &["calibration needs cable lengths and the tip"]);
 }
 
+/// A round takes 15 s; with a rate that is asked for, it is as short as the robot and that rate permit.
+#[test]
+fn an_exciting_path_is_as_fast_as_is_asked_for() {
+    let daemon = one_section();
+    let rate_rad_s = |options: &str| -> f64 {
+        let line = format!("{EXCITE} --dry-run{options}");
+        let printed = daemon.place().checked(&line, 0, &["length"]);
+        let (_, rest) = printed.split_once("  rate ").unwrap();
+        rest.split_whitespace().next().unwrap().parse().unwrap()
+    };
+    let usual = rate_rad_s("");
+    for asked in [1.2, 1.8] {
+        let fast = rate_rad_s(&format!(" --rate-max {asked}"));
+        println!("{usual} rad/s, asked for {asked}: {fast}");
+        assert!(fast > 0.8 * asked && fast <= asked && fast > 1.2 * usual);
+    }
+}
+
 /// Starts it, and waits until its file contains rows. It ignores SIGXFSZ, which a full disk does not send.
 fn excited(daemon: &Daemon, file: &str) -> Program {
     let mut telemetry = daemon.connect().telemetry().unwrap();

@@ -29,6 +29,11 @@ const TRIES: u32 = 12;
 const SMALLER: f64 = 0.97;
 /// Factor of the size where a slower path is as fast, because the robot jumps from one pose into another.
 const SMALLER_FOR_JUMP: f64 = 0.85;
+/// Attempts with a faster path, and a path with less than this share of a rate that was asked for is made faster.
+const FASTER_TRIES: u32 = 8;
+const FAST_ENOUGH: f64 = 0.95;
+/// A path with less than this share of the allowed rate is noted.
+const FAST: f64 = 0.8;
 /// Minimum duration of a round \[s\], and minimum number of rounds: fewer do not reach all sides of the
 /// robot.
 const ROUND_MIN_S: f64 = 15.0;
@@ -69,6 +74,9 @@ pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Do
     let bounds = Bounds::new(&robot_of(&before.robot)?, options);
     check_bends(&before, bounds.bend_rad)?;
     let (excitation, demands) = plan(&connection, &before, bounds, options)?;
+    if let Some(note) = slow_note(demands.bend_and_rate().1, bounds) {
+        tell!("{note}");
+    }
     if options.dry_run {
         demands.print(excitation.name())?;
         excitation.print()?;
@@ -118,6 +126,8 @@ pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Do
 struct Bounds {
     bend_rad: f64,
     rate_rad_s: f64,
+    /// True if the path is to have the rate, instead of a round each [`ROUND_MIN_S`].
+    is_rate_asked: bool,
 }
 
 impl Bounds {
@@ -132,11 +142,40 @@ impl Bounds {
         Self {
             bend_rad: options.bend_max.unwrap_or(bend_rad),
             rate_rad_s: options.rate_max.unwrap_or(rate_rad_s),
+            is_rate_asked: options.rate_max.is_some(),
         }
+    }
+
+    /// Shares of the ideal robot's part of the bounds: the inverse of the use of bends and rates.
+    fn shares(self, demands: &Demands) -> (f64, f64) {
+        let (bend_rad, rate_rad_s) = demands.bend_and_rate();
+        (
+            IDEAL_SHARE * self.bend_rad / bend_rad,
+            IDEAL_SHARE * self.rate_rad_s / rate_rad_s,
+        )
     }
 }
 
-/// The largest and fastest path that the ideal robot follows within `bounds`.
+/// What makes a path faster that is slower than allowed.
+fn slow_note(rate_rad_s: f64, bounds: Bounds) -> Option<String> {
+    let most_rad_s = bounds.rate_rad_s;
+    let why = if bounds.is_rate_asked {
+        "a faster one would miss its points or bend too far: limits or obstacles hold it back; a larger --bend-max or another --seed may help"
+            .to_owned()
+    } else {
+        format!(
+            "a round takes {ROUND_MIN_S:.0} s, which suits the geometry; --rate-max {most_rad_s:.3} makes it as fast as is allowed, for delay, time \
+             constant and play of the motors"
+        )
+    };
+    (rate_rad_s < FAST * most_rad_s).then(|| {
+        format!(
+            "note: the path bends at up to {rate_rad_s:.3} rad/s of {most_rad_s:.3} rad/s: {why}"
+        )
+    })
+}
+
+/// The largest path that the ideal robot follows within `bounds`, and the fastest if a rate was asked for.
 fn plan(
     connection: &Connection,
     record: &Telemetry,
@@ -154,16 +193,15 @@ fn plan(
             too_short(asked_s, bounds, excitation.moving_s / excitation.rounds)
         );
         let demands = dry_run::compute(connection, &excitation, &go_options())?;
-        let (bend_rad, rate_rad_s) = demands.bend_and_rate();
-        let bend_share = IDEAL_SHARE * bounds.bend_rad / bend_rad;
-        let rate_share = IDEAL_SHARE * bounds.rate_rad_s / rate_rad_s;
+        let (_, rate_rad_s) = demands.bend_and_rate();
+        let (bend_share, rate_share) = bounds.shares(&demands);
         let miss = demands.miss(allowed_m);
         if bend_share >= 1.0 && rate_share >= 1.0 && miss.is_none() {
             ensure!(
                 asked_s >= ROUND_MIN_S,
                 too_short(asked_s, bounds, ROUND_MIN_S)
             );
-            return Ok((excitation, demands));
+            return faster(connection, excitation, demands, bounds);
         }
         if bend_share < 1.0 || miss.is_some() {
             excitation.size *= bend_share.min(SMALLER);
@@ -182,6 +220,39 @@ fn plan(
         bounds.bend_rad,
         bounds.rate_rad_s
     )
+}
+
+/// The same path, as fast as a rate that was asked for and the robot's limits permit.
+fn faster(
+    connection: &Connection,
+    mut excitation: Excitation,
+    mut demands: Demands,
+    bounds: Bounds,
+) -> anyhow::Result<(Excitation, Demands)> {
+    let (mut too_fast, mut size) = (f64::INFINITY, excitation.size);
+    for _ in 0..FASTER_TRIES {
+        let (_, share) = bounds.shares(&demands);
+        if !bounds.is_rate_asked || share * FAST_ENOUGH < 1.0 {
+            break;
+        }
+        let between = (0.5 * (excitation.rounds + too_fast)).min(share * excitation.rounds);
+        let tried = Excitation {
+            rounds: between,
+            size,
+            ..excitation.clone()
+        };
+        let needed = dry_run::compute(connection, &tried, &go_options())?;
+        let (bend_share, rate_share) = bounds.shares(&needed);
+        if needed.miss(tried.missed_m()).is_some() || rate_share < 1.0 {
+            too_fast = between;
+        } else if bend_share < 1.0 {
+            // More rounds come nearer to the largest bend.
+            size *= bend_share.min(SMALLER);
+        } else {
+            (excitation, demands) = (tried, needed);
+        }
+    }
+    Ok((excitation, demands))
 }
 
 /// At one round, the rates are inverse to the duration; a tenth more is for the next attempts.
@@ -211,6 +282,7 @@ fn check_bends(record: &Telemetry, bend_max_rad: f64) -> anyhow::Result<()> {
 
 /// A path of the tip to all sides, near and far, that starts and ends at rest: where it began, or bent if two sections
 /// began straight.
+#[derive(Clone)]
 struct Excitation {
     robot: Robot,
     start: Configuration,
@@ -377,6 +449,24 @@ mod tests {
             phases: [0.0, seed, 2.0 * seed, 3.0 * seed],
             robot,
         }
+    }
+
+    #[test]
+    fn a_slow_path_is_noted_with_what_makes_it_faster() {
+        let bounds = |is_rate_asked| Bounds {
+            bend_rad: 1.0,
+            rate_rad_s: 1.0,
+            is_rate_asked,
+        };
+        assert_eq!(slow_note(0.81, bounds(false)), None);
+        let note = slow_note(0.25, bounds(false)).expect("slow");
+        assert!(
+            note.contains("at up to 0.250 rad/s of 1.000 rad/s"),
+            "{note}"
+        );
+        assert!(note.contains("--rate-max 1.000 makes it as fast"), "{note}");
+        let note = slow_note(0.25, bounds(true)).expect("slow");
+        assert!(note.contains("--bend-max"), "{note}");
     }
 
     #[test]
