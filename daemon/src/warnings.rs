@@ -1,6 +1,8 @@
 //! Valid configurations that are probably unintended.
 
-use cdcr_controller::nmpc::{RateWeight, rate_weight_warning, safe_distance_warning};
+use cdcr_controller::nmpc::{
+    RateWeight, budget_warning, rate_weight_warning, safe_distance_warning,
+};
 use cdcr_controller::robot::SectionParameters;
 
 use crate::config::{Config, Interface, LinkKind, REST_MAX_S, TipSensor, ns, numbers};
@@ -91,6 +93,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
         }),
         safe_distance_warning(controller.safe_distance_m, length_m)
             .map(|warning| format!("controller.{warning}")),
+        budget_warning(cycle.budget_ms).map(|warning| format!("cycle.{warning}")),
         cut(config),
     ];
     let warnings = warnings.into_iter().chain(tip_speed(config));

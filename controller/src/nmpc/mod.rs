@@ -50,7 +50,7 @@ pub use crate::reference::HORIZON_STEPS_MAX;
 pub use horizon::Horizon;
 pub use report::{Constraint, SolveReport, SolveStatus};
 pub use settings::{Coordinates, NmpcSettings, RateWeight, SettingsError, SolverKind, ranges};
-pub use unintended::{rate_weight_warning, safe_distance_warning};
+pub use unintended::{budget_warning, rate_weight_warning, safe_distance_warning};
 
 use crate::optimizer::{Budget, Simd};
 use crate::reference::ReferenceSample;

@@ -180,6 +180,12 @@ fn a_doubtful_configuration_and_a_misspelt_variable_are_warned_of() {
         text.contains("warning: link.command_valid_ms = 2"),
         "{text}"
     );
+    for (budget_ms, is_warned_of) in [("0.001", true), ("0.05", false), ("0", false)] {
+        let output = cdcrd(&["check", "--set", &format!("cycle.budget_ms={budget_ms}")]);
+        let warning = "warning: cycle.budget_ms = 0.001 hardly lets the solver begin";
+        let text = printed(&output);
+        assert_eq!(text.contains(warning), is_warned_of, "{text}");
+    }
     let log = text_of(&output.stderr);
     assert!(
         log.contains("CDCR_CYCLE_PERIOD sets nothing: did you mean CDCR_CYCLE_PERIOD_MS?"),

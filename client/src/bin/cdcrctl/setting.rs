@@ -26,6 +26,8 @@ const BUDGET: Setting = Setting {
 };
 /// Largest budget \[ms\]: the longest period of a daemon. The daemon's own period limits it further.
 const BUDGET_MS: RangeInclusive<f64> = 0.0..=100.0;
+/// A value of the configuration that a daemon replaces by the number for its robot.
+pub(crate) const AUTO: &str = "auto";
 const BUDGET_NOTE: &str = "; 0: all the remaining period";
 
 impl From<&'static Parameter> for Setting {
@@ -72,10 +74,18 @@ impl Setting {
         value
     }
 
-    /// The words that it accepts, if it is not a number.
+    /// The words that it accepts.
     pub(crate) fn words(self) -> Vec<String> {
         let codes = self.codes().into_iter().flat_map(|codes| codes.values);
-        codes.map(|(_, _, text)| (*text).to_owned()).collect()
+        let auto = self.has_auto().then(|| AUTO.to_owned());
+        codes
+            .map(|(_, _, text)| (*text).to_owned())
+            .chain(auto)
+            .collect()
+    }
+
+    fn has_auto(self) -> bool {
+        self.key == "rate_weight"
     }
 
     fn codes(self) -> Option<&'static Codes> {
@@ -125,7 +135,14 @@ impl Setting {
     pub(crate) fn allowed(self) -> String {
         let words = self.words();
         let range = match (words.split_last(), self.range()) {
-            (Some((last, others)), _) => format!("{} or {last}", others.join(", ")),
+            (Some((last, others)), None) => format!("{} or {last}", others.join(", ")),
+            (Some((word, _)), Some(range)) => {
+                format!(
+                    "{} to {} or {word}",
+                    number_text(*range.start()),
+                    number_text(*range.end())
+                )
+            }
             (None, Some(_)) if self == BUDGET => "0 to the period of the daemon".to_owned(),
             (None, Some(range)) => {
                 format!(
@@ -166,6 +183,8 @@ enum Wanted {
     Count(u32),
     Number(f64),
     Whole(u64),
+    /// The number that the status names.
+    Auto,
 }
 
 impl Change {
@@ -194,13 +213,20 @@ impl Change {
         self.setting.key
     }
 
-    pub(crate) fn apply(&self, settings: &mut SolverSettings) {
+    /// True if the value is the one that the daemon chooses for its robot.
+    pub(crate) fn is_auto(&self) -> bool {
+        matches!(self.value, Wanted::Auto)
+    }
+
+    /// Changes `settings`; `auto` is the number for [`is_auto`](Self::is_auto).
+    pub(crate) fn apply(&self, settings: &mut SolverSettings, auto: f64) {
         settings.visit_mut(&mut |field, part| {
             if field.name == self.setting.field {
                 match (part, self.value) {
                     (ValueMut::U32(count), Wanted::Count(wanted)) => *count = wanted,
                     (ValueMut::U64(whole), Wanted::Whole(wanted)) => *whole = wanted,
                     (ValueMut::F64(number), Wanted::Number(wanted)) => *number = wanted,
+                    (ValueMut::F64(number), Wanted::Auto) => *number = auto,
                     // `wanted` returns no other pairs.
                     _ => {}
                 }
@@ -219,6 +245,9 @@ fn wanted(setting: Setting, text: &str) -> Option<Wanted> {
     let Some(range) = setting.range() else {
         return text.parse().ok().map(Wanted::Whole);
     };
+    if setting.has_auto() && text == AUTO {
+        return Some(Wanted::Auto);
+    }
     let number: f64 = text.parse().ok()?;
     if !range.contains(&number) {
         return None;
@@ -265,8 +294,7 @@ mod tests {
         let mut keys = vec!["budget_ms"];
         for line in lines {
             let (key, value) = line.split_once(" = ").expect("filtered");
-            // A daemon has a number where the configuration says auto.
-            let value = value.trim_matches('"').replace("auto", "0");
+            let value = value.trim_matches('"');
             let change = Change::parse(&format!("{key}={value}"));
             assert_eq!(change.expect(line).setting.key, key);
             keys.push(key);
@@ -307,9 +335,20 @@ mod tests {
         assert_eq!(warnings(settings).collect::<Vec<_>>(), [""; 0]);
         Change::parse("rate_weight=1e12")
             .expect("legal")
-            .apply(&mut settings);
+            .apply(&mut settings, 0.0);
         let warnings: Vec<_> = warnings(settings).collect();
         assert_eq!(warnings, ["rate_weight = 1e12: usual is 0 to 0.01"]);
+    }
+
+    #[test]
+    fn auto_is_the_number_of_the_daemon() {
+        let mut settings = SolverSettings::default();
+        let change = Change::parse("rate_weight=auto").expect("as in the configuration");
+        assert!(change.is_auto());
+        change.apply(&mut settings, 1e-10);
+        assert_eq!(settings.rate_weight, 1e-10);
+        let error = Change::parse("damping=auto").expect_err("a number only");
+        assert!(error.contains("1e-20 to 1"), "{error}");
     }
 
     #[test]
@@ -317,7 +356,7 @@ mod tests {
         let mut settings = SolverSettings::default();
         Change::parse("budget_ms=2.5")
             .expect("legal")
-            .apply(&mut settings);
+            .apply(&mut settings, 0.0);
         assert_eq!(settings.budget_ns, 2_500_000);
     }
 }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::{bail, ensure};
 use cdcr_client::model::broken_bound;
 use cdcr_client::{Connection, LinkError, RequestError, section_lengths_m};
-use cdcr_controller::nmpc::{rate_weight_warning, safe_distance_warning};
+use cdcr_controller::nmpc::{budget_warning, rate_weight_warning, safe_distance_warning};
 use cdcr_shared_types::codes::Outcome;
 use cdcr_shared_types::{SolverSettings, Status, Telemetry};
 use serde_json::Value;
@@ -69,8 +69,13 @@ fn unintended(of: &[Setting], settings: SolverSettings, status: &Status) -> Vec<
     let distance = safe_distance_warning(settings.safe_distance_m, lengths_m.iter().sum());
     let weight = rate_weight_warning(settings.rate_weight, sections, auto == 0.0);
     let weight = weight.map(|warning| format!("{warning}; without the key it is {auto}"));
-    [("safe_distance_m", distance), ("rate_weight", weight)]
-        .into_iter()
+    let budget = budget_warning(settings.budget_ns as f64 / 1e6);
+    let all = [
+        ("safe_distance_m", distance),
+        ("rate_weight", weight),
+        ("budget_ms", budget),
+    ];
+    all.into_iter()
         .filter_map(|(key, warning)| warning.filter(|_| is_among(key)))
         .collect()
 }
@@ -104,8 +109,13 @@ fn check_once(changes: &[Change]) -> anyhow::Result<()> {
 fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
     let before = connection.settings()?;
     let mut after = before;
+    let is_auto = changes.iter().any(Change::is_auto);
+    let status = is_auto.then(|| connection.status(STATUS_TIMEOUT));
+    let rate_weight_auto = status
+        .transpose()?
+        .map_or(0.0, |status| status.rate_weight_auto);
     for change in changes {
-        change.apply(&mut after);
+        change.apply(&mut after, rate_weight_auto);
     }
     let response = match connection.change_settings(after) {
         Err(
@@ -224,6 +234,15 @@ mod tests {
         assert_eq!(unintended(&[], settings, &status), [""; 0]);
         status.rate_weight_auto = 0.0;
         assert_eq!(unintended(&all, settings, &status).len(), 1);
+        let short = SolverSettings {
+            budget_ns: 1_000,
+            ..SolverSettings::default()
+        };
+        let budget = unintended(&all, short, &status).join("");
+        assert!(
+            budget.starts_with("budget_ms = 0.001 hardly lets the solver begin"),
+            "{budget}"
+        );
     }
 
     #[test]
@@ -242,7 +261,7 @@ mod tests {
         for (key, value) in shown.as_object().expect("an object") {
             let value = value.as_str().map_or(value.to_string(), str::to_owned);
             let change = Change::parse(&format!("{key}={value}")).expect("legal");
-            change.apply(&mut settings);
+            change.apply(&mut settings, 0.0);
         }
         assert_eq!(object(settings), shown);
         assert_eq!((settings.seed, settings.budget_ns), (u64::MAX, 100));
@@ -294,7 +313,7 @@ mod tests {
             let mut wanted = legal;
             Change::parse(change)
                 .expect("in its range")
-                .apply(&mut wanted);
+                .apply(&mut wanted, 0.0);
             let reported = broken_bound(&wanted, &status).expect(change);
             assert!(reported.contains(bound), "{change}: {reported}");
         }
@@ -317,7 +336,7 @@ mod tests {
         let before = SolverSettings::default();
         let mut after = before;
         for text in ["rate_weight=1e-6", "inertia=0"] {
-            Change::parse(text).expect("legal").apply(&mut after);
+            Change::parse(text).expect("legal").apply(&mut after, 0.0);
         }
         let keys: Vec<_> = changed(before, after).map(|setting| setting.key).collect();
         assert_eq!(keys, ["rate_weight"]);

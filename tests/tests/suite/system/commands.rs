@@ -314,6 +314,12 @@ fn a_weight_that_is_probably_not_meant_is_a_warning() {
             "{printed}"
         );
     }
+    // The number that the daemon chose for its robot, as in the configuration.
+    done(&daemon, "settings set rate_weight=auto");
+    let status = daemon.connect().status(TIMEOUT).unwrap();
+    let settings = daemon.connect().settings().unwrap();
+    assert!(status.rate_weight_auto > 0.0);
+    assert_eq!(settings.rate_weight, status.rate_weight_auto);
 }
 
 #[test]

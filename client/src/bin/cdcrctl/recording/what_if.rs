@@ -10,17 +10,23 @@ use super::file::Recording;
 use super::replay::each_cycle;
 use crate::Done;
 use crate::args::{Format, ReplayOptions};
+use crate::setting::Change;
 
 /// Compares the recorded commands with those of other settings, each cycle separately.
 pub(super) fn run(options: &ReplayOptions) -> anyhow::Result<Done> {
+    ensure!(
+        !options.with.iter().any(Change::is_auto),
+        "a running daemon chooses the number for auto: give one (cdcrctl settings shows that of a daemon)"
+    );
     let mut recording = Recording::open(&options.file)?;
     let mut compared = Compared::default();
     each_cycle(&mut recording, |cycle, replayer| {
         let mut settings = cycle.record.settings;
+        let recorded = settings.rate_weight;
         options
             .with
             .iter()
-            .for_each(|change| change.apply(&mut settings));
+            .for_each(|change| change.apply(&mut settings, recorded));
         if let Some(found) = replayer.what_if(&cycle, &settings)? {
             let record = &cycle.record;
             compared.cycles += 1;

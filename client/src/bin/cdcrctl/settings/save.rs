@@ -11,13 +11,10 @@ use toml_edit::{DocumentMut, Item, Table, Value};
 
 use super::STATUS_TIMEOUT;
 use crate::Done;
-use crate::setting::Setting;
+use crate::setting::{AUTO, Setting};
 
 /// Defaults of a daemon without a configuration file.
 const DEFAULTS: &str = include_str!("../../../../../configs/default.toml");
-
-/// Value of a rate weight that depends on the robot.
-const AUTO: &str = "auto";
 
 /// First line of a new file.
 const HEAD: &str = "# Settings of cdcrd that differ from the defaults.\n";
@@ -240,7 +237,7 @@ mod tests {
     fn settings(changes: &[&str]) -> SolverSettings {
         let defaults: DocumentMut = DEFAULTS.parse().expect("TOML");
         let mut settings = SolverSettings::default();
-        let mut set = |text: &str| Change::parse(text).expect(text).apply(&mut settings);
+        let mut set = |text: &str| Change::parse(text).expect(text).apply(&mut settings, 0.0);
         for (key, value) in defaults["controller"].as_table().expect("a table") {
             let value = value.as_value().expect("a value").clone().decorated("", "");
             let value = value.to_string().replace(AUTO, "0");
