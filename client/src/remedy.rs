@@ -14,7 +14,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::NotFinite => "Remove NaN and infinite numbers from the message.",
         Outcome::InThePast => {
             "The sender was late, or it or the daemon stood still: send again with the present time; start the reference later (--lead) or send it further ahead; send a measurement \
-             within link.measurement_timeout_ms of its time stamp (CLOCK_MONOTONIC, in ns)."
+             within link.measurement_timeout_ms of its time stamp (CLOCK_MONOTONIC, in ns), or raise that key above the delay of a slow sensor, such as a camera."
         }
         Outcome::InTheFuture => {
             "Stamp messages with CLOCK_MONOTONIC of the daemon's host, in ns, not ahead of now. The wall clock (Python: time.time_ns) is years ahead of it."
@@ -40,7 +40,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
             "Send less far ahead, or wait until points have been played; or remove obstacles."
         }
         Outcome::CountOutOfRange | Outcome::OutOfRange => {
-            "See the ranges in the documentation of the message."
+            "See the ranges in the documentation of the message. The begin of a span of time must not be after its end, as that of a rest (rested_from_ns, rested_until_ns)."
         }
         Outcome::UnknownCode => "Use client and daemon of one version.",
         Outcome::NotUnit => "Normalise the axis or quaternion.",
@@ -130,7 +130,7 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
              cycle.miss_limit."
         }
         Reason::MeasurementLost => {
-            "Check that the driver runs and measures within each link.measurement_timeout_ms, and in cdcrctl status that no messages are \
+            "Check that the driver runs and measures within each link.measurement_timeout_ms, which must be longer than the delay of the measurements, and in cdcrctl status that no messages are \
              refused (cdcrctl echo telemetry shows refused measurements), then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::MeasurementJump => {

@@ -47,11 +47,12 @@ pub(crate) fn check(
         );
         if left_m > allowed_m {
             bail!(
-                "not reachable: at {time_s:.2} s {}, the first point that is missed by more than {} mm (--max-error){}{}; nothing moved",
+                "not reachable: at {time_s:.2} s {}, the first point that is missed by more than {} mm (--max-error){}{}; nothing moved{}",
                 away(left_m, point_m),
                 1e3 * allowed_m,
                 limit(&robot, &found),
-                doubt(record, left_m - allowed_m)
+                doubt(record, left_m - allowed_m),
+                surface(&robot, &(robot.tip_position(&found) + offset_m))
             );
         }
         shape = found;
@@ -82,15 +83,32 @@ pub(crate) fn check_point(
     let (found, left_m) = nearest(&robot, &shape, &modelled_m, allowed_m);
     if left_m > allowed_m {
         bail!(
-            "not reachable: {}{}{}; nothing moved",
+            "not reachable: {}{}{}; nothing moved{}",
             away(left_m, point_m),
             limit(&robot, &found),
-            doubt(record, left_m - allowed_m)
+            doubt(record, left_m - allowed_m),
+            surface(
+                &robot,
+                &(robot.tip_position(&found) + Vector3::from(record.tip_offset_m))
+            )
         );
     }
     let (_, left_m) = nearest(&robot, &shape, &point_m.into(), allowed_m);
     note(record, left_m <= allowed_m);
     Ok(())
+}
+
+/// What a robot of one section reaches instead, at and around the `nearest` point.
+fn surface(robot: &Robot, nearest_m: &Vector3<f64>) -> String {
+    if robot.section_count() > 1 {
+        return String::new();
+    }
+    let [x, y, z] = (*nearest_m).into();
+    let radius_m = x.hypot(y);
+    format!(
+        ". The tip of one section is on a surface, at one height for each distance from the axis. The nearest point is ({x:.4}, {y:.4}, {z:.4}) m. \
+         References on the surface: cdcrctl ref spiral, and circles about the axis such as cdcrctl ref circle --radius {radius_m:.4} --height {z:.4}"
+    )
 }
 
 /// What to add to a refusal where the offset of another pose, as large as the present one may be, makes up for `beyond_m`.
@@ -260,6 +278,32 @@ mod tests {
             "{text}"
         );
         assert_eq!(limit(&robot, &straight), "");
+    }
+
+    /// The circle that the refusal names is reachable.
+    #[test]
+    fn one_section_is_told_what_it_reaches_instead() {
+        let robot = Robot::new(&RobotParameters::paper(1)).expect("the paper's");
+        for point_m in [[0.03, 0.0, 0.255], [0.1, 0.05, 0.2], [0.0, -0.15, 0.29]] {
+            let straight = Configuration::straight(1);
+            let (found, left_m) = nearest(&robot, &straight, &point_m.into(), 1e-3);
+            assert!(left_m > 1e-3, "{left_m}");
+            let text = surface(&robot, &robot.tip_position(&found));
+            let number = |name: &str| -> f64 {
+                let (_, rest) = text.split_once(name).expect(name);
+                let word = rest.split_whitespace().next().expect("a number");
+                word.parse().expect(word)
+            };
+            let (radius_m, height_m) = (number("--radius "), number("--height "));
+            for k in 0..16 {
+                let (sin, cos) = (0.4 * f64::from(k)).sin_cos();
+                let there_m = Vector3::new(radius_m * cos, radius_m * sin, height_m);
+                let (_, left_m) = nearest(&robot, &straight, &there_m, 1e-3);
+                assert!(left_m < 1e-3, "{text}: {left_m}");
+            }
+        }
+        let two = Robot::new(&RobotParameters::paper(2)).expect("the paper's");
+        assert_eq!(surface(&two, &Vector3::zeros()), "");
     }
 
     #[test]

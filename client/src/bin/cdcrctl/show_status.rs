@@ -119,7 +119,12 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
     let reason = if status.mode == Mode::Starting.code() {
         String::new()
     } else {
-        format!(" ({})", Reason::text_of(status.reason))
+        let over = if waits_for_no_source(status) {
+            "; not any more: track again"
+        } else {
+            ""
+        };
+        format!(" ({}{over})", Reason::text_of(status.reason))
     };
     writeln!(
         out,
@@ -397,6 +402,13 @@ fn obstacles(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Result
          saw them last. Start it again; as another client it clears the list first (cdcrctl obstacle clear)",
         status.silent_obstacle_source
     )
+}
+
+/// The robot holds because of a source of obstacles, and none is silent any more.
+fn waits_for_no_source(status: &Status) -> bool {
+    status.mode == Mode::Holding.code()
+        && status.reason == Reason::ObstacleSourceSilent.code()
+        && status.silent_obstacle_source == 0
 }
 
 fn robot(out: &mut String, status: &Status) -> std::fmt::Result {
