@@ -79,7 +79,7 @@ class Connection:
         """
     def remove_obstacles(self, /, ids: Sequence[int]) -> None:
         """
-        Removes obstacles by their numbers. Raises RequestError if the daemon refuses.
+        Removes obstacles by their numbers. Raises RequestError if the daemon refuses, and after the others are removed for one that it did not know.
         """
     def reset(self, /, *, accept_pose: bool = False) -> None:
         """

@@ -22,6 +22,9 @@ Source: TypeAlias = Simulation | Records | Mapping[str, Records] | Connection
 SHAPES = 4
 """So many shapes of the robot are drawn, from the first to the last."""
 
+OFFSET_M = 1e-4
+"""A larger distance of the tip from the end of the shape is drawn."""
+
 
 @dataclass
 class _Shown:
@@ -40,14 +43,20 @@ class _Shown:
 
 
 def path(source: Source, *, seconds: float = 2.0, ax: Axes3D | None = None) -> Axes3D:
-    """The way of the tip in 3-D beside its reference, with the robot's shape at some moments."""
+    """The way of the tip in 3-D beside its reference, with the robot's shape at some moments; a dotted line leads from a shape to a tip that was measured beside it."""
     shown = _shown(source, seconds)
     if ax is None:
         ax = plt.figure(figsize=(6, 6)).add_subplot(projection="3d")
     moments = np.linspace(0, len(shown.time_s) - 1, SHAPES).astype(int)
+    has_offset = False
     for moment, shade in zip(moments, np.linspace(0.75, 0.2, SHAPES)):
         body = shown.robot.backbone(shown.bend_rad[moment])
         ax.plot(*body.T, color=str(shade), linewidth=3, solid_capstyle="round")
+        # A tip that is measured beside the bends is not where they place it.
+        if np.linalg.norm(shown.tip_m[moment] - body[-1]) > OFFSET_M:
+            offset = np.stack([body[-1], shown.tip_m[moment]])
+            ax.plot(*offset.T, color="black", linewidth=1, linestyle=":", label=None if has_offset else "tip offset")
+            has_offset = True
     ax.plot(*shown.reference_m.T, color="tab:orange", linewidth=3, alpha=0.6, label="reference")
     ax.plot(*shown.tip_m.T, color="tab:blue", linewidth=1, label="tip")
     for axis, name in ((ax.xaxis, "x"), (ax.yaxis, "y"), (ax.zaxis, "z")):

@@ -1,6 +1,7 @@
 //! A connection to a daemon: received messages and requests.
 
 mod live;
+mod obstacles;
 
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
@@ -11,11 +12,11 @@ use cdcr_client::{
     self, CommandStream, ConnectError, LinkError, ObstacleSender, RequestError, Requester, Stream,
     TelemetryStream,
 };
+use cdcr_controller::nmpc::RateWeight;
 use cdcr_controller::robot::Robot as Model;
-use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
+use cdcr_shared_types::codes::{Outcome, RequestKind};
 use cdcr_shared_types::{
-    Header, Incident, Location, Obstacle as WireObstacle, Service, SolverSettings, Status,
-    Telemetry,
+    Incident, Location, Obstacle as WireObstacle, Service, SolverSettings, Status, Telemetry,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping};
@@ -40,8 +41,6 @@ pub(crate) use live::Live;
 
 /// Range of the numbers of obstacles.
 const NUMBERS: RangeInclusive<u32> = 0..=u32::MAX;
-/// Time limit for the outcome of a message.
-const OUTCOME: Duration = Duration::from_secs(1);
 /// Time without records and commands after which a daemon counts as silent.
 const SILENT_AFTER: Duration = Duration::from_secs(1);
 /// Time without records after which it counts as silent although its commands arrive: a stalled machine delays
@@ -188,8 +187,10 @@ impl Connection {
         };
         let all = self.settings(py)?.into_pyobject(py)?;
         all.update(changes.as_mapping())?;
-        // The daemon reports the value of "auto".
-        let settings = settings(Some(&all))?;
+        let mut settings = settings(Some(&all))?;
+        if settings.rate_weight == RateWeight::Auto {
+            settings.rate_weight = self.snapshot(py, 1.0)?.rate_weight_auto.into();
+        }
         let mut wire = self.wire_settings(py)?;
         change(&mut wire, &settings)?;
         let changed = self
@@ -306,13 +307,13 @@ impl Connection {
         })
     }
 
-    /// Removes obstacles by their numbers. Raises RequestError if the daemon refuses.
+    /// Removes obstacles by their numbers. Raises RequestError if the daemon refuses, and after the others are removed for one that it did not know.
     #[pyo3(signature = (ids: "Sequence[int]"))]
     fn remove_obstacles(&self, py: Python<'_>, ids: Vec<i128>) -> PyResult<()> {
         check_count(ids.len())?;
         let number = |id: i128| count("the number of an obstacle", id, NUMBERS);
         let ids: Vec<u32> = ids.into_iter().map(number).collect::<Result<_, _>>()?;
-        self.send_obstacles(py, move |sender| sender.remove(&ids))
+        self.remove(py, ids)
     }
 
     /// Removes all obstacles, those of other clients, too. Raises RequestError if the daemon refuses.
@@ -468,26 +469,5 @@ impl Connection {
         let mut heard = Instant::now();
         self.fetch(py, &mut Records::new(Telemetry::LAYOUT), &mut heard)?;
         Ok(Instant::now())
-    }
-
-    fn send_obstacles(
-        &self,
-        py: Python<'_>,
-        send: impl FnOnce(&ObstacleSender) -> Result<Header, LinkError> + Send + 'static,
-    ) -> PyResult<()> {
-        let outcome = self.worker.call_on_thread(py, move |desk| {
-            let mut telemetry = desk.connection.telemetry()?;
-            let sender = match &mut desk.obstacles {
-                Some(sender) => sender,
-                none => none.insert(desk.connection.obstacle_sender()?),
-            };
-            let header = send(sender)?;
-            Ok::<_, Failure>(telemetry.outcome_on(EventKind::Obstacles, &header, OUTCOME)?)
-        })??;
-        if outcome == Outcome::Accepted {
-            return Ok(());
-        }
-        let message = format!("the daemon refused the obstacles: {outcome}");
-        Err(Failure::new(Class::Request, message, cdcr_client::remedy(outcome)).into())
     }
 }

@@ -110,6 +110,18 @@ def test_settings_change_by_name_and_the_others_stay(daemon: Daemon) -> None:
         assert connection.settings()["horizon_steps"] == 4
 
 
+def test_a_rate_weight_that_is_auto_is_the_number_of_the_robot() -> None:
+    daemon = Daemon("--set", "link.simulated=laboratory")
+    try:
+        with daemon.connect() as connection:
+            assert connection.settings()["rate_weight"] == 1e-10
+            connection.change_settings(rate_weight=1e-3)
+            connection.change_settings(rate_weight="auto")
+            assert connection.settings()["rate_weight"] == 1e-10
+    finally:
+        daemon.end()
+
+
 def test_obstacles_are_seen_until_they_are_removed(daemon: Daemon) -> None:
     with daemon.connect() as connection:
         ball = cdcr.Obstacle.sphere([0.5, 0, 0.5], 0.05, velocity_m_s=[0, 0.01, 0])
@@ -119,7 +131,9 @@ def test_obstacles_are_seen_until_they_are_removed(daemon: Daemon) -> None:
         known = record["obstacles"][: record["obstacle_count"]]
         assert known["id"].tolist() == [7, 9] and (known["start_m"][1] == [0.6, 0, 0]).all()
         assert abs(record["clearance_m"] - cdcr.Robot().clearance(np.zeros(6), [ball, pole])) < 0.01
-        connection.remove_obstacles([7])
+        with pytest.raises(cdcr.RequestError, match="no obstacle 5, 8 was known") as refused:
+            connection.remove_obstacles([8, 7, 5, 8])
+        assert refused.value.remedy
         assert newest(connection)["obstacle_count"] == 1
         connection.clear_obstacles()
         assert newest(connection)["obstacle_count"] == 0

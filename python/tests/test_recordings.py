@@ -91,6 +91,19 @@ def test_no_words_of_a_path_lie_over_others(sections: int) -> None:
         plt.close("all")
 
 
+def test_a_path_leads_from_the_shapes_to_the_tip_that_was_measured_beside_them(recording: Path) -> None:
+    records = cdcr.read(recording)["telemetry"].copy()
+    assert len(plot.path(records).get_lines()) == plot.SHAPES + 2
+    records["tip_position_m"] += [0.0, 0.017, 0.0]
+    ax = plot.path(records)
+    dotted = [line for line in ax.get_lines() if line.get_linestyle() == ":"]
+    assert len(dotted) == plot.SHAPES
+    last = np.array(dotted[-1].get_data_3d()).T
+    assert np.allclose(last[-1], records["tip_position_m"][-1]) and np.allclose(np.linalg.norm(last[-1] - last[0]), 0.017, atol=1e-4)
+    assert [text.get_text() for text in ax.get_legend().get_texts()].count("tip offset") == 1
+    plt.close("all")
+
+
 def test_what_is_no_recording_is_refused_and_a_cut_one_gives_what_is_whole(recording: Path, tmp_path: Path) -> None:
     whole = recording.read_bytes()
     file = tmp_path / "some.mcap"

@@ -592,11 +592,33 @@ function player() {
 
 const VIEWS = [['from the side', 0, 2], ['from the front', 1, 2], ['from above', 0, 1]];
 
-function path() {
+// Bounds of the path on each axis, and of the obstacles that a view would cut at its edges, as far as the robot is long; and half of the largest
+// width, the one scale of all views.
+function path_window() {
   const all = curves.tip_mm.concat(...references);
   const bounds = [0, 1, 2].map((i) => all.reduce(([low, high], point) => [Math.min(low, point[i]), Math.max(high, point[i])], [Infinity, -Infinity]));
-  // One scale for all three views.
-  const half = 0.55 * Math.max(...bounds.map(([low, high]) => high - low), 1);
+  const long_mm = 1e3 * data.sections.reduce((sum, section) => sum + section.length_m, 0);
+  const solids = data.scenes.flatMap((scene) => scene.solids).map(([, radius, ...ends_mm]) =>
+    [0, 1, 2].map((i) => [Math.min(ends_mm[i], ends_mm[i + 3] ?? ends_mm[i]) - radius, Math.max(ends_mm[i], ends_mm[i + 3] ?? ends_mm[i]) + radius]));
+  for (;;) {
+    const half = 0.55 * Math.max(...bounds.map(([low, high]) => high - low), 1);
+    const is_shown = (solid, k) => solid[k].every((edge, side) => (side ? edge : -edge) > (side ? 1 : -1) * (bounds[k][0] + bounds[k][1]) / 2 - half);
+    let is_wider = false;
+    for (const solid of solids) {
+      for (const [, ...axes] of VIEWS.filter(([, ...axes]) => axes.every((k) => is_shown(solid, k)))) {
+        for (const k of axes) {
+          const wider = [Math.min(bounds[k][0], Math.max(solid[k][0], -long_mm)), Math.max(bounds[k][1], Math.min(solid[k][1], long_mm))];
+          is_wider ||= wider[0] < bounds[k][0] || wider[1] > bounds[k][1];
+          bounds[k] = wider;
+        }
+      }
+    }
+    if (!is_wider) return { bounds, half };
+  }
+}
+
+function path() {
+  const { bounds, half } = path_window();
   const row = element('div', { class: 'row' });
   for (const [name, i, j] of VIEWS) {
     const axis = (k, count) => {
