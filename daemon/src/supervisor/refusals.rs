@@ -5,6 +5,10 @@ use cdcr_shared_types::codes::Outcome;
 use super::LATE_LINE_EVERY;
 use crate::handover::{RefusedTips, Summary};
 
+/// Of a tip that arrives, too late: a camera with a long delay.
+const LATE: &str = "arrived later than link.measurement_timeout_ms after its time stamp: raise that key above the delay of the sensor, or correct \
+    its stamps (CLOCK_MONOTONIC, in ns)";
+
 /// What the log has to say about refused messages: the first one for each reason, and first bends whenever a tip begins to
 /// contradict them.
 #[derive(Debug)]
@@ -62,6 +66,7 @@ impl Refusals {
                     .to_owned()
             }
             Outcome::TipElsewhere => contradiction(summary.refused_tips.contradiction_m),
+            Outcome::InThePast if is_tip => format!("; the tip {LATE}"),
             _ => String::new(),
         }
     }
@@ -71,6 +76,7 @@ impl Refusals {
 pub(super) fn newest_refusal(refused: RefusedTips) -> String {
     match refused.newest {
         Outcome::Accepted => "; none arrived: check that the tip sensor runs and sends".to_owned(),
+        Outcome::InThePast => format!("; the newest {LATE}"),
         outcome => format!("; the newest was refused: {outcome} (cdcrctl status has the remedy)"),
     }
 }
@@ -122,6 +128,20 @@ mod tests {
             before = now;
         }
         assert_eq!(logged, [": 200 mm", ": 300 mm", ": 400 mm"]);
+    }
+
+    #[test]
+    fn a_tip_later_than_the_timeout_names_the_key() {
+        let mut now = summary(1.0, Outcome::InThePast, 1, 0.0);
+        let hint = |now: &Summary| {
+            let news = Refusals::new(true).news(now, &Summary::default());
+            news[0].1.clone()
+        };
+        assert_eq!(hint(&now), "", "of another message");
+        now.refused_tips.newest = Outcome::InThePast;
+        for text in [hint(&now), newest_refusal(now.refused_tips)] {
+            assert!(text.contains("raise that key above the delay"), "{text}");
+        }
     }
 
     #[test]
