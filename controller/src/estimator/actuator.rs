@@ -87,6 +87,8 @@ const PLAY_SHARE_AT_REST: f64 = 0.75;
 struct Move {
     rates: BendRates,
     duration_s: f64,
+    /// Share of the duration for which the motors obeyed; the rates are the mean ones.
+    obeyed: f64,
     /// Lag of motors without delay at the end of this move \[rad\].
     behind_rad: [f64; COORDINATES_MAX],
     /// Bends of the cables minus those of motors without delay, at the end of this move \[rad\].
@@ -98,6 +100,7 @@ impl Move {
         Self {
             rates: BendRates::zero(section_count),
             duration_s: 0.0,
+            obeyed: 1.0,
             behind_rad: [0.0; COORDINATES_MAX],
             slack_rad: [0.0; COORDINATES_MAX],
         }
@@ -209,23 +212,25 @@ impl ActuatorModel {
     }
 
     /// Replaces what was commanded between two ages by zero. Returns the motion that is lost \[rad\]. The play keeps
-    /// the side to which that motion led.
+    /// the side to which that motion led. A rest may come in parts, each once.
     pub(super) fn rested(&mut self, ages_s: &Range<f64>) -> [f64; COORDINATES_MAX] {
         let (mut oldest, mut ended_s) = (0, 0.0);
         let mut lost_rad = [0.0; COORDINATES_MAX];
         for back in 0..MOVES_MAX - 1 {
-            let Move {
-                mut rates,
-                duration_s,
-                ..
-            } = *self.back(back);
+            let past = self.back_mut(back);
+            let (duration_s, obeyed) = (past.duration_s, past.obeyed);
             let rested_s = ages_s.end.min(ended_s + duration_s) - ages_s.start.max(ended_s);
-            if rested_s > 0.0 {
-                add(&mut lost_rad, rates.as_slice(), rested_s);
-                for rate in rates.as_mut_slice() {
-                    *rate *= 1.0 - rested_s / duration_s;
+            if rested_s > 0.0 && obeyed > 0.0 {
+                past.obeyed = (obeyed - rested_s / duration_s).max(0.0);
+                let left = past.obeyed / obeyed;
+                add(
+                    &mut lost_rad,
+                    past.rates.as_slice(),
+                    (1.0 - left) * duration_s,
+                );
+                for rate in past.rates.as_mut_slice() {
+                    *rate *= left;
                 }
-                self.back_mut(back).rates = rates;
                 oldest = back + 1;
             }
             ended_s += duration_s;
@@ -264,6 +269,7 @@ impl ActuatorModel {
         self.moves[self.newest] = Move {
             rates: *rates,
             duration_s,
+            obeyed: 1.0,
             behind_rad,
             slack_rad,
         };

@@ -31,13 +31,24 @@ const BESIDE_TIME_S: f64 = 0.03;
 /// Distance between the places of motors that obeyed and of motors that rested which a measurement tells apart in spite of its noise \[rad\].
 const VISIBLE_RAD: f64 = 0.01;
 
-/// A measurement shows a stated rest if its distance from the place of motors that rested is below this share of that from the place of motors
-/// that obeyed.
-const SHOWN_SHARE: f64 = 0.3;
+/// A measurement shows a stated rest if it is as far along the way from the place of motors that obeyed to that of motors that rested, as shares of
+/// this way. How far it is beside the way does not count: that is an error of the estimate from before the rest.
+const SHOWN: Range<f64> = 0.7..1.4;
 
 /// Motion still under way that a stated rest may take without a measurement that shows as much \[rad\]. Without this allowance a true
 /// statement counts too late behind motors of a long lag: beside an obstacle the robot comes too near.
 const UNSEEN_RAD: f64 = 0.1;
+
+/// Why motors may have rested.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RestCause {
+    /// Their driver was silent.
+    Silence,
+    /// Their driver states it.
+    Stated,
+    /// It states that a rest went on whose motion the estimate has lost.
+    GoesOn,
+}
 
 /// A measurement by a driver or a tip sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -88,6 +99,8 @@ pub struct Estimator {
     /// Offset of the tip, if something else measures the bends.
     tip_offset: TipOffset,
     motors: ActuatorModel,
+    /// Motion under way that the newest stated rest has taken unseen \[rad\].
+    unseen_rad: f64,
     /// Workspace of [`Self::rested`].
     resting: ActuatorModel,
 }
@@ -105,6 +118,7 @@ impl Clone for Estimator {
             tip: self.tip.clone(),
             tip_offset: self.tip_offset.clone(),
             motors: self.motors.clone(),
+            unseen_rad: self.unseen_rad,
             resting: self.resting.clone(),
         }
     }
@@ -121,6 +135,7 @@ impl Clone for Estimator {
         self.tip.clone_from(&source.tip);
         self.tip_offset.clone_from(&source.tip_offset);
         self.motors.clone_from(&source.motors);
+        self.unseen_rad = source.unseen_rad;
     }
 }
 
@@ -138,6 +153,7 @@ impl Estimator {
             tip: TipFilter::new(TIP_NOISE_M),
             tip_offset: TipOffset::new(TIP_NOISE_M),
             motors: ActuatorModel::new(Actuator::IDEAL, configuration.section_count()),
+            unseen_rad: 0.0,
             resting: ActuatorModel::new(Actuator::IDEAL, configuration.section_count()),
         }
     }
@@ -174,8 +190,8 @@ impl Estimator {
         self
     }
 
-    /// The motors may not have obeyed what was commanded between these ages (s, before the time of the last prediction), because their driver
-    /// `was_silent`, or states so: the estimate loses that motion, if the `measurement` made `age_s` ago does not contradict it. After a silence it
+    /// The motors may not have obeyed what was commanded between these ages (s, before the time of the last prediction), for this cause: the
+    /// estimate loses that motion, if the `measurement` made `age_s` ago does not contradict it. After a silence, and where a lost rest went on, it
     /// contradicts it where the motors are nearer to their place if they obeyed, and noise does not hide this; it must show a rest that is only
     /// stated, and much motion under way only as far as it shows as much. A tip shows neither. Returns whether the motion is lost. Take the measurement with [`Self::correct`] afterwards: it is adopted without filtering, because when exactly
     /// the motors rested is not known.
@@ -185,7 +201,7 @@ impl Estimator {
         measurement: &Measurement,
         age_s: f64,
         ages_s: &Range<f64>,
-        was_silent: bool,
+        cause: RestCause,
     ) -> bool {
         let Some(measured) = measurement.configuration(robot) else {
             return false;
@@ -199,19 +215,26 @@ impl Estimator {
         let [obeyed_end, rested_end] = motions.map(|motion| motion.end_from(&measured));
         let unseen_rad = distance_rad(&obeyed_end, &rested_end);
         let is_visible = seen_rad > VISIBLE_RAD;
-        let [of_obeyed_rad, of_rested_rad] =
-            [obeyed, rested].map(|place| distance_rad(&measured, &place));
-        let is_believed = if was_silent {
-            !is_visible || of_rested_rad <= of_obeyed_rad
-        } else {
-            is_visible
-                && unseen_rad <= seen_rad.max(UNSEEN_RAD)
-                && of_rested_rad < SHOWN_SHARE * of_obeyed_rad
+        let share = way_share(&obeyed, &rested, &measured);
+        let is_contradicted = is_visible && share < 0.5;
+        let is_shown =
+            is_visible && SHOWN.contains(&share) && unseen_rad <= seen_rad.max(UNSEEN_RAD);
+        let is_believed = match cause {
+            RestCause::Silence => !is_contradicted,
+            RestCause::Stated => is_shown,
+            // Together with what was taken before.
+            RestCause::GoesOn => {
+                is_shown || !is_contradicted && self.unseen_rad + unseen_rad <= UNSEEN_RAD
+            }
         };
         if !is_believed {
             return false;
         }
         core::mem::swap(&mut self.motors, &mut self.resting);
+        self.unseen_rad = match cause {
+            RestCause::GoesOn if !is_shown => self.unseen_rad + unseen_rad,
+            _ => unseen_rad,
+        };
         for led in self.stages.iter_mut().chain([&mut self.measured]) {
             *led = added(led, &lost_rad, -1.0);
         }
@@ -433,6 +456,17 @@ impl Estimator {
 fn distance_rad(a: &Configuration, b: &Configuration) -> f64 {
     let pairs = a.as_slice().iter().zip(b.as_slice());
     pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+}
+
+/// How far `at` is along the way from `from` to `to`, as a share of this way; 0 without a way.
+fn way_share(from: &Configuration, to: &Configuration, at: &Configuration) -> f64 {
+    let (mut along, mut way) = (0.0, 0.0);
+    let pairs = from.as_slice().iter().zip(to.as_slice());
+    for ((from, to), at) in pairs.zip(at.as_slice()) {
+        along += (at - from) * (to - from);
+        way += (to - from) * (to - from);
+    }
+    if way > 0.0 { along / way } else { 0.0 }
 }
 
 /// `from` moved towards `to` by the share `gain`.

@@ -1,5 +1,7 @@
 use std::ops::Range;
 
+use cdcr_controller::estimator::RestCause;
+
 use crate::config::Interface;
 use crate::handover::{Policy, TimedMeasurement};
 
@@ -26,8 +28,7 @@ const STATED_NS: u64 = 500_000_000;
 /// When motors may have rested.
 #[derive(Debug)]
 pub(super) struct Rest {
-    /// The driver was silent; if not, it states this rest.
-    pub(super) was_silent: bool,
+    pub(super) cause: RestCause,
     /// When they rested \[ns\].
     rested_ns: Range<u64>,
 }
@@ -65,18 +66,20 @@ impl SilenceWatch {
         }
         if let Some(rested_ns) = self.silence_ns(timed.measured_ns, release_ns) {
             return Some(Rest {
-                was_silent: true,
+                cause: RestCause::Silence,
                 rested_ns,
             });
         }
         let [mut from_ns, until_ns] = timed.rested_ns.map(|at_ns| at_ns.min(release_ns));
         let is_recent = release_ns - until_ns < STATED_NS;
         let is_one = from_ns == before_ns[0] || from_ns >= before_ns[1];
+        let mut cause = RestCause::Stated;
         if self.believed_ns.contains(&from_ns) {
             from_ns = self.believed_ns.end;
+            cause = RestCause::GoesOn;
         }
         (from_ns < until_ns && is_recent && is_one).then_some(Rest {
-            was_silent: false,
+            cause,
             rested_ns: from_ns..until_ns,
         })
     }
@@ -144,7 +147,10 @@ mod tests {
     ) -> Option<(bool, [u64; 2])> {
         let rest = rest(watch, at_ms, rested_ms)?;
         let Range { start, end } = rest.rested_ns;
-        Some((rest.was_silent, [start, end].map(|at_ns| at_ns / MS)))
+        Some((
+            rest.cause == RestCause::Silence,
+            [start, end].map(|at_ns| at_ns / MS),
+        ))
     }
 
     fn rest(watch: &mut SilenceWatch, at_ms: u64, rested_ms: [u64; 2]) -> Option<Rest> {

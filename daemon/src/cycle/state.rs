@@ -212,7 +212,7 @@ impl RobotState {
         if let Some(rest) = self.silence.rest(&timed, release_ns) {
             let (robot, estimator) = (&self.robot, &mut self.estimator);
             let ages_s = rest.ages_s(release_ns);
-            if estimator.rested(robot, &measurement, age_s, &ages_s, rest.was_silent) {
+            if estimator.rested(robot, &measurement, age_s, &ages_s, rest.cause) {
                 self.silence.believe(&rest);
             }
         }

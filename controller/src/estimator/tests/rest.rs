@@ -1,6 +1,7 @@
 //! Motors that rested.
 
 use super::*;
+use RestCause::{GoesOn, Silence, Stated};
 
 const PERIOD_S: f64 = 0.005;
 const RATE_RAD_S: f64 = 2.0;
@@ -24,11 +25,11 @@ fn moving(lost: f64) -> (Estimator, Measurement) {
 }
 
 /// What the estimate loses, as a share of the motion in that rest.
-fn loses(lost: f64, ages_s: &Range<f64>, was_silent: bool) -> f64 {
+fn loses(lost: f64, ages_s: &Range<f64>, cause: RestCause) -> f64 {
     let (mut estimator, measured) = moving(lost);
     let led_rad = |estimator: &Estimator| estimator.motors().as_slice()[0];
     let before_rad = led_rad(&estimator);
-    estimator.rested(&robot(1), &measured, 0.0, ages_s, was_silent);
+    estimator.rested(&robot(1), &measured, 0.0, ages_s, cause);
     let motion_rad = RATE_RAD_S * (RESTED_S.end - RESTED_S.start);
     (before_rad - led_rad(&estimator)) / motion_rad
 }
@@ -36,24 +37,24 @@ fn loses(lost: f64, ages_s: &Range<f64>, was_silent: bool) -> f64 {
 #[test]
 fn a_stated_rest_is_lost_where_a_measurement_shows_it() {
     let is = |share: f64, expected: f64| (share - expected).abs() < 1e-9;
-    assert!(is(loses(1.0, &RESTED_S, false), 1.0));
+    assert!(is(loses(1.0, &RESTED_S, Stated), 1.0));
     // Not quite there, by noise.
-    assert!(is(loses(0.85, &RESTED_S, false), 1.0));
+    assert!(is(loses(0.85, &RESTED_S, Stated), 1.0));
     // Obeyed, or something between: only a silence makes this a rest.
-    assert!(is(loses(0.0, &RESTED_S, false), 0.0));
-    assert!(is(loses(0.6, &RESTED_S, false), 0.0));
-    assert!(is(loses(0.6, &RESTED_S, true), 1.0));
-    assert!(is(loses(0.4, &RESTED_S, true), 0.0));
+    assert!(is(loses(0.0, &RESTED_S, Stated), 0.0));
+    assert!(is(loses(0.6, &RESTED_S, Stated), 0.0));
+    assert!(is(loses(0.6, &RESTED_S, Silence), 1.0));
+    assert!(is(loses(0.4, &RESTED_S, Silence), 0.0));
     // Much longer than the motors rested.
-    assert!(is(loses(1.0, &(0.0..1e9), false), 0.0));
+    assert!(is(loses(1.0, &(0.0..1e9), Stated), 0.0));
 }
 
 #[test]
 fn a_stated_rest_that_noise_hides_is_not_lost() {
     // 0.006 rad.
     let short_s = 0.02..0.023;
-    assert!(loses(0.1, &short_s, false).abs() < 1e-9);
-    assert!((loses(0.1, &short_s, true) - 0.1).abs() < 1e-9);
+    assert!(loses(0.1, &short_s, Stated).abs() < 1e-9);
+    assert!((loses(0.1, &short_s, Silence) - 0.1).abs() < 1e-9);
 }
 
 #[test]
@@ -63,12 +64,73 @@ fn a_stated_rest_of_which_much_more_is_under_way_than_seen_is_left_to_a_later_st
         let rates = BendRates::from_slice(&[RATE_RAD_S, 0.0]).unwrap();
         let led = *estimator.motors();
         let measured = Measurement::Configuration(led.advanced(&rates, -age_s - seen_s));
-        estimator.rested(&robot(1), &measured, age_s, &(0.0..age_s + seen_s), false);
+        estimator.rested(&robot(1), &measured, age_s, &(0.0..age_s + seen_s), Stated);
         (led.as_slice()[0] - estimator.motors().as_slice()[0]) / RATE_RAD_S
     };
     assert!((lost_s(0.03, 0.02) - 0.05).abs() < 1e-9);
     assert_eq!(lost_s(0.1, 0.02), 0.0);
     assert!((lost_s(0.1, 0.11) - 0.21).abs() < 1e-9);
+}
+
+/// An error of the estimate from before the rest, in another direction.
+#[test]
+fn a_stated_rest_is_lost_where_the_estimate_was_beside_the_robot_before() {
+    let (mut estimator, _) = moving(1.0);
+    let led = estimator.motors().as_slice()[0];
+    let place = Configuration::from_slice(&[led - 0.06, 0.04]).unwrap();
+    let measured = Measurement::Configuration(place);
+    assert!(estimator.rested(&robot(1), &measured, 0.0, &RESTED_S, Stated));
+}
+
+/// A driver states a rest while it lasts. The parts end between releases.
+#[test]
+fn a_rest_that_is_lost_in_parts_is_lost_as_a_whole() {
+    let (mut estimator, measured) = moving(1.0);
+    let mut parts = [moving(1.0).0, moving(1.0).0];
+    for (estimator, ends_s) in parts.iter_mut().zip([[0.048, 0.036], [0.043, 0.041]]) {
+        for ages_s in [ends_s[0]..0.05, ends_s[1]..ends_s[0], 0.02..ends_s[1]] {
+            estimator.rested(&robot(1), &measured, 0.0, &ages_s, Silence);
+        }
+    }
+    estimator.rested(&robot(1), &measured, 0.0, &RESTED_S, Silence);
+    for part in parts {
+        assert!(distance_rad(part.motors(), estimator.motors()) < 1e-12);
+        let [one, other] = [&part, &estimator].map(|it| it.motors.remaining_motion(0.04));
+        let [one, other] = [one, other].map(|motion| motion.end_from(&Configuration::straight(1)));
+        assert!(distance_rad(&one, &other) < 1e-12);
+    }
+}
+
+/// No measurement shows yet that the rest went on: as far as motion under way may be taken unseen, and not against what is measured.
+#[test]
+fn a_rest_that_was_shown_goes_on_as_stated_up_to_a_bounded_motion() {
+    const AGE_S: f64 = 0.03;
+    let mut estimator = moving(0.0).0;
+    let rates = BendRates::from_slice(&[RATE_RAD_S, 0.0]).unwrap();
+    let at = |estimator: &Estimator, ago_s: f64| {
+        Measurement::Configuration(estimator.motors().advanced(&rates, -ago_s))
+    };
+    let measured = at(&estimator, 0.06);
+    let rests = |estimator: &mut Estimator, age_s, ages_s: Range<f64>, cause| {
+        let is_lost = estimator.rested(&robot(1), &measured, age_s, &ages_s, cause);
+        estimator.correct(&robot(1), &measured, age_s);
+        is_lost
+    };
+    assert!(rests(&mut estimator, AGE_S, AGE_S..0.06, Stated));
+    let obeyed = at(&estimator, 0.0);
+    let new_s = 0.0..AGE_S;
+    assert!(
+        !estimator.rested(&robot(1), &obeyed, 0.0, &new_s, GoesOn),
+        "it is contradicted"
+    );
+    assert!(
+        rests(&mut estimator, AGE_S, new_s.clone(), GoesOn),
+        "0.06 rad"
+    );
+    for _ in 0..6 {
+        estimator.predict(&rates, PERIOD_S);
+    }
+    assert!(!rests(&mut estimator, AGE_S, new_s, GoesOn), "0.12 rad");
 }
 
 /// Motors behind a driver, in steps of a millisecond.
@@ -107,9 +169,9 @@ impl Motors {
 const FARTHER_RAD: f64 = 0.12;
 
 /// What a driver states in this period, as ages \[s\].
-type Stated = fn(usize) -> Option<Range<f64>>;
+type Statement = fn(usize) -> Option<Range<f64>>;
 
-const FALSE: [(&str, Stated); 7] = [
+const FALSE: [(&str, Statement); 7] = [
     ("a period", |_| Some(0.0..PERIOD_S)),
     ("30 ms", |_| Some(0.0..0.03)),
     ("30 ms or nothing", |cycle| {
@@ -131,7 +193,7 @@ fn farther_rad(
     (configured_s, delay_s, time_constant_s, scale): (f64, f64, f64, f64),
     hertz: f64,
     lost_of_24: usize,
-    stated: Stated,
+    stated: Statement,
 ) -> f64 {
     const AGE_MS: usize = 4;
     let robot = robot(1);
@@ -164,7 +226,7 @@ fn farther_rad(
         let measured = Measurement::Configuration(Configuration::from_slice(&bends).unwrap());
         let age_s = AGE_MS as f64 * 1e-3;
         if let Some(ages_s) = stated(cycle) {
-            estimators[1].rested(&robot, &measured, age_s, &ages_s, false);
+            estimators[1].rested(&robot, &measured, age_s, &ages_s, Stated);
         }
         let truth_rad = Motors::delayed_rad(&motors.place_rad, 0);
         let turn_s = cycle as f64 * PERIOD_S;

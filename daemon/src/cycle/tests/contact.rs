@@ -1,5 +1,7 @@
 //! Contact by the measured bends, which an estimate with a lag that is not configured hides.
 
+mod lost_commands;
+
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::plant::Flaws;
 use cdcr_controller::robot::Obstacle;

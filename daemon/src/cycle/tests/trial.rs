@@ -1,5 +1,7 @@
 //! A robot that differs from its model, its driver, and the daemon's cycle, on a test clock.
 
+pub(super) mod losing;
+
 use std::cell::Cell;
 use std::path::Path;
 
@@ -315,6 +317,19 @@ impl Trial {
 
     /// A cycle with the present inputs, after `skipped` releases without one.
     pub(super) fn cycle(&mut self, skipped: u32) -> CycleRecord {
+        let (record, command) = self.command(skipped);
+        if self.is_held_up {
+            self.go_on(command.release_ns);
+        } else {
+            self.rested_ns = self.rest_ns(command.release_ns);
+            self.sent = Some(command);
+            self.obey(&command);
+        }
+        record
+    }
+
+    /// The record and the command of a cycle with the present inputs, after `skipped` releases without one.
+    fn command(&mut self, skipped: u32) -> (CycleRecord, cdcr_shared_types::Command) {
         self.next += u64::from(skipped);
         let release_ns = BEGIN_NS + self.next * PERIOD_NS;
         let release = Release {
@@ -339,16 +354,9 @@ impl Trial {
             .run(release, &self.inputs, next_request, &self.clock);
         let command = convert::command(&record, &self.robot, PERIOD_NS);
         self.target_rad = command.bend_target_rad[..self.robot.coordinate_count()].to_vec();
-        if self.is_held_up {
-            self.go_on(release_ns);
-        } else {
-            self.rested_ns = self.rest_ns(release_ns);
-            self.sent = Some(command);
-            self.obey(&command);
-        }
         self.next += 1;
         self.last = Some(record);
-        record
+        (record, command)
     }
 
     /// Lets the work after the solver take `took_ns`.
