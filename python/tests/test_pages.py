@@ -45,3 +45,24 @@ def test_the_page(daemon: Daemon, tmp_path: Path) -> None:
     recorder.terminate()
     recorder.wait(TIMEOUT_S)
     works(daemon, tmp_path, "import cdcr\n" + recorded)
+
+
+def test_the_lag_of_the_motors_that_drivers_md_measures(tmp_path: Path) -> None:
+    [program] = blocks("docs/drivers.md")
+    daemon = Daemon("--set", "link.simulated=slow")
+    try:
+        daemon.connect().close()
+        recorder = subprocess.Popen([PROGRAMS / "cdcrctl", "record", "-o", "moved.mcap"], cwd=tmp_path, env=daemon.environment)
+        for words in ["goto 0.2,0.1,0.75 --speed 0.1", "home"]:
+            done = daemon.run(PROGRAMS / "cdcrctl", *words.split())
+            assert done.returncode == 0, done.stderr
+        recorder.terminate()
+        recorder.wait(TIMEOUT_S)
+    finally:
+        daemon.end()
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=4 * TIMEOUT_S)
+    assert done.returncode == 0, done.stderr
+    found = re.search(r", (\d+), (\d+)\)$", done.stdout.strip())
+    assert found, done.stdout
+    # A busy machine delays commands.
+    assert abs(int(found[1]) - 30) <= 10 and abs(int(found[2]) - 100) <= 20, done.stdout
