@@ -54,7 +54,7 @@ fi
 if [ "$(id -u)" != 0 ]; then need root "installing it needs root"; exit 0; fi
 if ! command -v dpkg >/dev/null; then skip "installing it needs dpkg"; exit 0; fi
 if dpkg-query --show cdcr >/dev/null 2>&1; then skip "cdcr is installed here, and stays"; exit 0; fi
-if ! command -v systemd-sysusers >/dev/null; then skip "installing it needs systemd-sysusers"; exit 0; fi
+if ! command -v systemd-sysusers >/dev/null && ! command -v useradd >/dev/null; then skip "installing it needs systemd-sysusers or useradd"; exit 0; fi
 
 had_user=$(getent passwd cdcr || true)
 [ -z "$had_user" ] || fail "there is a user cdcr already: $had_user"
