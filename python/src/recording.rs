@@ -106,7 +106,7 @@ impl Recording {
         })?;
         let reader = Reader::new(BufReader::with_capacity(1 << 17, file));
         Ok(Self {
-            reader: reader.map_err(|error| refused(&name, &error))?,
+            reader: reader.map_err(|error| unreadable(&name, &error))?,
             path: name,
             every,
             passed: 0,
@@ -126,7 +126,7 @@ impl Recording {
                     self.is_cut = true;
                     return Ok(false);
                 }
-                item => item.map_err(|error| refused(&self.path, &error))?,
+                item => item.map_err(|error| unreadable(&self.path, &error))?,
             };
             match item {
                 None => return Ok(false),
@@ -191,6 +191,17 @@ fn one_robot(path: &str, topics: &BTreeSet<String>) -> Result<(), Failure> {
         format!("{path} holds more than one robot: {}", names.join(", ")),
         "Record each robot in a file of its own.",
     ))
+}
+
+fn unreadable(path: &str, error: &ReadError) -> Failure {
+    let ReadError::Damaged(_) = error else {
+        return refused(path, error);
+    };
+    Failure::new(
+        Class::Recording,
+        format!("{path}: {error}"),
+        format!("Recover all whole parts with: cdcrctl info --repair {path}"),
+    )
 }
 
 fn refused(path: &str, error: &dyn std::fmt::Display) -> Failure {

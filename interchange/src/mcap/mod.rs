@@ -1,14 +1,16 @@
 //! MCAP, the container of recordings: <https://mcap.dev/spec>. A layer over the crate `mcap` that reports how
-//! many bytes of a file are complete, and reads with one chunk in memory.
+//! many bytes of a file are complete, reads with one chunk in memory, and reads around damaged parts.
 //!
 //! It works with any reader or writer of bytes.
 
 mod reader;
+mod salvage;
 mod writer;
 
 use std::collections::BTreeMap;
 
 pub use reader::{Item, Message, ReadError, Reader};
+pub use salvage::{Loss, Whole};
 pub use writer::{Stamp, Writer, end};
 
 /// Encoding of messages.

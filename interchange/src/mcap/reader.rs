@@ -1,14 +1,15 @@
 use std::collections::{BTreeMap, HashMap};
-use std::io::{self, Read};
+use std::io::{self, Read, Seek};
 
-use mcap::records::Record;
+use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::{MAGIC, McapError, parse_record};
+use mcap::{MAGIC, McapError, McapResult, parse_record};
 
 use super::Channel;
+use super::salvage::Whole;
 
 /// Maximum size of a record or chunk \[bytes\]; recordings of this project have smaller ones.
-const RECORD_MAX: usize = 64 << 20;
+pub(super) const RECORD_MAX: usize = 64 << 20;
 
 /// Why a recording cannot be read, or not completely.
 #[derive(Debug, thiserror::Error)]
@@ -117,14 +118,9 @@ impl<R: Read> Reader<R> {
         if magic != MAGIC {
             return Err(ReadError::Foreign);
         }
-        let options = LinearReaderOptions::default()
-            .with_skip_start_magic(true)
-            // No data of a damaged chunk is returned.
-            .with_prevalidate_chunk_crcs(true)
-            .with_record_length_limit(RECORD_MAX);
         Ok(Self {
             input,
-            events: LinearReader::new_with_options(options),
+            events: LinearReader::new_with_options(options()),
             data: Vec::new(),
             ended: false,
             schemas: HashMap::new(),
@@ -170,7 +166,7 @@ impl<R: Read> Reader<R> {
                 Some(Ok(LinearReadEvent::Record { data, opcode })) => (opcode, data),
                 Some(Err(error)) => return Err(error.into()),
             };
-            match parse_record(opcode, data)? {
+            match parse(opcode, data)? {
                 Record::Message { header, data } => {
                     self.data.clear();
                     self.data.extend_from_slice(&data);
@@ -212,6 +208,64 @@ impl<R: Read> Reader<R> {
         }
         Ok(None)
     }
+}
+
+impl<R: Read + Seek> Reader<Whole<R>> {
+    /// Starts reading everything that is whole of a damaged recording.
+    ///
+    /// # Errors
+    /// When the input is not a recording.
+    pub fn around_damage(input: R) -> Result<Self, ReadError> {
+        let mut reader = Self::new(Whole::new(input)?)?;
+        // The index repeats the channels, which stand in the first chunk only.
+        let summary = reader.input.summary.as_ref();
+        let channels = summary.into_iter().flat_map(|summary| &summary.channels);
+        reader.channels = channels
+            .map(|(id, channel)| {
+                let schema = channel.schema.as_ref();
+                let text = schema.map(|schema| String::from_utf8_lossy(&schema.data).into_owned());
+                let known = Channel {
+                    topic: channel.topic.clone(),
+                    schema: schema.map(|schema| schema.name.clone()).unwrap_or_default(),
+                    text: text.unwrap_or_default(),
+                    metadata: channel.metadata.clone(),
+                };
+                (*id, known)
+            })
+            .collect();
+        Ok(reader)
+    }
+
+    /// The input, which knows what was lost.
+    pub fn whole(&self) -> &Whole<R> {
+        &self.input
+    }
+}
+
+/// Records are read from the first one on; no data of a damaged chunk is returned.
+pub(super) fn options() -> LinearReaderOptions {
+    LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(RECORD_MAX)
+}
+
+pub(super) fn parse(opcode: u8, body: &[u8]) -> McapResult<Record<'_>> {
+    // The crate panics at an attachment that is shorter than its head and its checksum.
+    if opcode == op::ATTACHMENT && !has_attachment_head(body) {
+        return Err(McapError::UnexpectedEof);
+    }
+    parse_record(opcode, body)
+}
+
+/// Two times, two names and the length of the data, before data and checksum.
+fn has_attachment_head(body: &[u8]) -> bool {
+    let after_text = |at: usize| {
+        let length = body.get(at..)?.first_chunk()?;
+        Some(at + 4 + u32::from_le_bytes(*length) as usize)
+    };
+    let head = after_text(16).and_then(after_text);
+    head.is_some_and(|end| end + 8 + 4 <= body.len())
 }
 
 impl From<McapError> for ReadError {

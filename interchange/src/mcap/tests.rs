@@ -1,3 +1,5 @@
+use std::io::{Cursor, Read};
+
 use rand::{Rng as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -48,11 +50,22 @@ fn file(count: u32) -> (Vec<u8>, Vec<u64>) {
 
 /// Messages, number of other items, and the result of reading.
 fn read(bytes: &[u8]) -> (Vec<u32>, usize, Result<(), ReadError>) {
+    match Reader::new(bytes) {
+        Ok(mut reader) => read_all(&mut reader),
+        Err(error) => (Vec::new(), 0, Err(error)),
+    }
+}
+
+/// The same of everything that is whole, and the losses.
+fn read_around(bytes: &[u8]) -> (Vec<u32>, usize, Vec<Loss>) {
+    let mut reader = Reader::around_damage(Cursor::new(bytes)).unwrap();
+    let (messages, others, end) = read_all(&mut reader);
+    assert!(matches!(end, Ok(()) | Err(ReadError::Cut)), "{end:?}");
+    (messages, others, reader.whole().losses().to_vec())
+}
+
+fn read_all(reader: &mut Reader<impl Read>) -> (Vec<u32>, usize, Result<(), ReadError>) {
     let (mut messages, mut others) = (Vec::new(), 0);
-    let mut reader = match Reader::new(bytes) {
-        Ok(reader) => reader,
-        Err(error) => return (messages, others, Err(error)),
-    };
     loop {
         match reader.next_item() {
             Ok(Some(Item::Message(message))) => {
@@ -125,6 +138,12 @@ fn what_is_no_recording_is_refused() {
         };
         while let Ok(Some(_)) = reader.next_item() {}
     }
+    // An attachment without room for its checksum.
+    let note = bytes.windows(8).position(|part| part == b"note.txt");
+    let attachment = note.unwrap() - 4 - 16 - 9;
+    let mut wrong = bytes.clone();
+    wrong[attachment + 1] = 16 + 4 + 8 + 4 + 10 + 8 + 1;
+    assert!(read(&wrong).2.is_err());
     let chunk = bytes
         .windows(4)
         .position(|window| window == [39; 4])
@@ -132,6 +151,37 @@ fn what_is_no_recording_is_refused() {
     let mut wrong = bytes.clone();
     wrong[chunk] ^= 1;
     assert!(matches!(read(&wrong).2, Err(ReadError::Damaged { .. })));
+}
+
+/// Each bit of a byte costs at most the ten messages of its chunk, and is found wherever it is.
+#[test]
+fn a_wrong_bit_costs_no_more_than_its_chunk() {
+    let (bytes, flushed) = file(40);
+    assert_eq!(read_around(&bytes), (read(&bytes).0, 2, Vec::new()));
+    let data_end = flushed[3] as usize;
+    let about = bytes.windows(5).position(|part| part == b"about").unwrap();
+    let metadata = about..about + 20;
+    for at in 8..bytes.len() {
+        let mut wrong = bytes.clone();
+        wrong[at] ^= 1 << (at % 8);
+        // The metadata has no checksum; its wrong content would fail in `read_all`.
+        if metadata.contains(&at) {
+            continue;
+        }
+        let (messages, others, losses) = read_around(&wrong);
+        assert!(messages.len() >= 30 && others >= 1, "{at}: {losses:?}");
+        assert!(
+            messages.is_sorted() && losses.len() <= 1,
+            "{at}: {losses:?}"
+        );
+        let is_less = messages.len() < 40 || others < 2;
+        if is_less {
+            assert!(
+                at < data_end && losses[0].bytes.contains(&(at as u64)),
+                "{at}"
+            );
+        }
+    }
 }
 
 /// A disk with a limited number of bytes.

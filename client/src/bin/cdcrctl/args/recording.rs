@@ -55,7 +55,7 @@ pub(crate) struct InfoOptions {
     /// Output format
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
-    /// Recover the complete messages of a truncated recording, with an index, as NAME-repaired.mcap
+    /// Recover all that is whole of a truncated or damaged recording, with an index, as NAME-repaired.mcap
     #[arg(long)]
     pub(crate) repair: bool,
 }

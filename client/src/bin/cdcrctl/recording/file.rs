@@ -1,13 +1,13 @@
 use std::cell::Cell;
 use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use cdcr_interchange::decode;
-use cdcr_interchange::mcap::{Item, Message, ReadError, Reader};
+use cdcr_interchange::mcap::{Item, Message, ReadError, Reader, Whole};
 use cdcr_shared_types::message::Struct;
 use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
 
@@ -50,9 +50,9 @@ impl Recorded {
 }
 
 /// A recording read from start to end, with one chunk in memory.
-pub(crate) struct Recording {
+pub(crate) struct Recording<R = BufReader<Counted>> {
     path: PathBuf,
-    reader: Reader<BufReader<Counted>>,
+    reader: Reader<R>,
     all_bytes: u64,
     read_bytes: Rc<Cell<u64>>,
     /// Whether the file is truncated.
@@ -60,8 +60,11 @@ pub(crate) struct Recording {
     progress: Option<Progress>,
 }
 
+/// A recording of which everything that is whole is read.
+pub(super) type DamagedRecording = Recording<Whole<Counted>>;
+
 /// Counts the bytes read from a file.
-struct Counted {
+pub(crate) struct Counted {
     file: File,
     read_bytes: Rc<Cell<u64>>,
 }
@@ -71,6 +74,12 @@ impl Read for Counted {
         let count = self.file.read(buffer)?;
         self.read_bytes.set(self.read_bytes.get() + count as u64);
         Ok(count)
+    }
+}
+
+impl Seek for Counted {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
     }
 }
 
@@ -98,6 +107,28 @@ impl Progress {
 
 impl Recording {
     pub(crate) fn open(path: &Path) -> anyhow::Result<Self> {
+        Self::start(path, |counted| {
+            Reader::new(BufReader::with_capacity(1 << 17, counted))
+        })
+    }
+
+    /// Opens what is whole of a damaged recording.
+    pub(super) fn open_damaged(path: &Path) -> anyhow::Result<DamagedRecording> {
+        DamagedRecording::start(path, Reader::around_damage)
+    }
+}
+
+impl DamagedRecording {
+    pub(super) fn whole(&self) -> &Whole<Counted> {
+        self.reader.whole()
+    }
+}
+
+impl<R: Read> Recording<R> {
+    fn start(
+        path: &Path,
+        reader: impl FnOnce(Counted) -> Result<Reader<R>, ReadError>,
+    ) -> anyhow::Result<Self> {
         let name = || path.display().to_string();
         let file = File::open(path).with_context(name)?;
         let all_bytes = file.metadata().with_context(name)?.len();
@@ -106,7 +137,7 @@ impl Recording {
             file,
             read_bytes: Rc::clone(&read_bytes),
         };
-        let reader = Reader::new(BufReader::with_capacity(1 << 17, counted)).with_context(name)?;
+        let reader = reader(counted).with_context(name)?;
         Ok(Self {
             path: path.to_owned(),
             reader,
@@ -152,12 +183,14 @@ impl Recording {
     pub(crate) fn next_message(&mut self) -> anyhow::Result<Option<Recorded>> {
         loop {
             let name = self.path.display().to_string();
-            let item = self.next_item().map_err(|error| match error.downcast_ref() {
-                Some(ReadError::Damaged(_)) => anyhow!(
-                    "{error:#}; recover the part before the damage with `cdcrctl info --repair {name}`"
-                ),
-                _ => error,
-            })?;
+            let item = self
+                .next_item()
+                .map_err(|error| match error.downcast_ref() {
+                    Some(ReadError::Damaged(_)) => anyhow!(
+                        "{error:#}; recover all whole parts with `cdcrctl info --repair {name}`"
+                    ),
+                    _ => error,
+                })?;
             match item {
                 None => return Ok(None),
                 Some(Item::Message(message)) => {

@@ -1,22 +1,17 @@
-use std::collections::HashMap;
-use std::collections::btree_map::{BTreeMap, Entry};
-use std::fs::File;
+use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Write};
-use std::path::Path;
 
-use anyhow::{Context, bail, ensure};
-use cdcr_client::counted;
-use cdcr_interchange::mcap::{Item, ReadError, Stamp, Writer};
+use anyhow::ensure;
 use cdcr_shared_types::codes::{LateCause, Mode, timing};
 use cdcr_shared_types::{Header, Telemetry};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use super::file::{Recorded, Recording};
+use super::repair::repair;
 use super::topic::Topic;
 use crate::Done;
 use crate::args::{Format, InfoOptions};
-use crate::files::new_file;
 use crate::interrupt::Interrupt;
 use crate::tip_error::{TipError, is_along, is_by_model};
 
@@ -42,85 +37,6 @@ pub(crate) fn run(options: &InfoOptions) -> anyhow::Result<Done> {
     }
     recording.warn_of_cut();
     Ok(Done::Good)
-}
-
-/// Copies the intact part into another, complete file. Data after a damage is lost.
-fn repair(path: &Path, is_interrupted: impl Fn() -> bool) -> anyhow::Result<Done> {
-    let mut recording = Recording::open(path)?;
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let other = path.with_file_name(format!("{stem}-repaired.mcap"));
-    let name = other.display();
-    let file = new_file(&other, "or rename it")?;
-    let copied = copy(&mut recording, file, is_interrupted);
-    if !matches!(&copied, Ok((messages, _)) if *messages > 0) {
-        // If nothing was saved, no file remains.
-        drop(std::fs::remove_file(&other));
-    }
-    let (messages, damage) = copied.with_context(|| format!("{name} was not created"))?;
-    let path = path.display();
-    let was = match (&damage, recording.is_cut()) {
-        (Some(damage), _) => damage.to_string(),
-        (None, true) => "the recording is truncated".to_owned(),
-        (None, false) => "the recording is complete".to_owned(),
-    };
-    ensure!(messages > 0, "{path} contains no message: {was}");
-    let messages = counted(messages, "message");
-    let saved = format!("{path}: {was}; {messages} saved in {name}");
-    let [read_mb, all_mb] = recording
-        .read_of_all_bytes()
-        .map(|bytes| bytes as f64 * 1e-6);
-    let part = format!("the first {read_mb:.1} of {all_mb:.1} MB");
-    match damage {
-        None => writeln!(io::stdout(), "{saved}")?,
-        Some(ReadError::Damaged(_)) => writeln!(io::stdout(), "{saved} ({part})")?,
-        // The file may hold more than could be read now.
-        Some(_) => bail!("{saved} ({part})"),
-    }
-    Ok(Done::Good)
-}
-
-/// The number of copied messages, and what ended the copy.
-fn copy(
-    recording: &mut Recording,
-    file: File,
-    is_interrupted: impl Fn() -> bool,
-) -> anyhow::Result<(u64, Option<ReadError>)> {
-    let library = concat!("cdcrctl ", env!("CARGO_PKG_VERSION"));
-    let mut writer = Writer::new(file, "ros2", library)?;
-    let mut ids = BTreeMap::new();
-    let mut messages = 0_u64;
-    let damage = loop {
-        ensure!(!is_interrupted(), "interrupted");
-        let item = match recording.next_item() {
-            Ok(Some(item)) => item,
-            Ok(None) => break None,
-            Err(error) => break Some(error.downcast::<ReadError>()?),
-        };
-        match item {
-            Item::Message(message) => {
-                let id = match ids.entry(message.channel_id) {
-                    Entry::Occupied(id) => *id.get(),
-                    Entry::Vacant(free) => *free.insert(writer.add_channel(message.channel)?),
-                };
-                let stamp = Stamp {
-                    sequence: message.sequence,
-                    log_ns: message.log_ns,
-                    publish_ns: message.publish_ns,
-                };
-                writer.write(id, stamp, message.data)?;
-                messages += 1;
-            }
-            Item::Attachment {
-                name,
-                media_type,
-                time_ns,
-                data,
-            } => writer.attach(&name, &media_type, time_ns, &data)?,
-            Item::Metadata { name, values } => writer.add_metadata(&name, values)?,
-        }
-    };
-    writer.finish().map_err(|(_, error)| error)?;
-    Ok((messages, damage))
 }
 
 /// Fixed-point notation, except for values that would round to zero.
@@ -317,38 +233,9 @@ impl Seen {
 
 #[cfg(test)]
 mod tests {
-    use cdcr_scratch::Scratch;
     use cdcr_shared_types::codes::{ReferenceState, TipCause};
 
     use super::*;
-
-    #[test]
-    fn a_repair_that_is_interrupted_leaves_no_file_and_can_be_done_again() {
-        let folder = Scratch::temporary().unwrap();
-        let path = folder.path().join("run.mcap");
-        let file = File::create_new(&path).unwrap();
-        let mut writer = Writer::new(file, "ros2", "test").unwrap();
-        let channel = Topic::Telemetry.channel("cdcr").unwrap();
-        let id = writer.add_channel(&channel).unwrap();
-        let stamp = Stamp {
-            sequence: 0,
-            log_ns: 0,
-            publish_ns: 0,
-        };
-        writer.write(id, stamp, &[0; 8]).unwrap();
-        writer.finish().unwrap();
-        let repaired = path.with_file_name("run-repaired.mcap");
-        let error = repair(&path, || true).unwrap_err();
-        assert!(format!("{error:#}").ends_with("interrupted"), "{error:#}");
-        assert!(!repaired.exists());
-        repair(&path, || false).unwrap();
-        assert!(repaired.exists());
-        let again = repair(&path, || false).unwrap_err().to_string();
-        assert!(
-            again.ends_with("run-repaired.mcap exists: remove it or rename it"),
-            "{again}"
-        );
-    }
 
     #[test]
     fn an_error_without_the_measured_tip_is_named_so_with_the_measured_one() {

@@ -8,6 +8,7 @@ mod intake;
 mod invocation;
 mod play;
 pub(crate) mod record;
+mod repair;
 pub(crate) mod replay;
 pub(crate) mod report;
 pub(crate) mod scope;

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
+use cdcr_client::counted;
 use cdcr_client::replay::{Difference, Outcome, ReplayedCycle, Replayer};
 use cdcr_interchange::encode;
 use cdcr_interchange::mcap::{Channel, Stamp, Writer};
@@ -57,6 +58,11 @@ struct Verified {
     solved: u64,
     without_reference: u64,
     different: u64,
+    /// Missing records, and the cycle before each gap.
+    missing_records: u64,
+    gaps_after: Vec<u64>,
+    /// Header and cycle of the newest record.
+    last: Option<(Header, u64)>,
     /// The first difference, and the recording with the inputs of its cycle, or why it was not saved.
     first_difference: Option<(Difference, Result<PathBuf, String>)>,
     first_ns: Option<u64>,
@@ -101,6 +107,14 @@ impl Verified {
         self.cycles += 1;
         self.first_ns.get_or_insert(record.release_ns);
         self.last_ns = record.release_ns;
+        let header = record.header;
+        if let Some((last, cycle)) = self.last.replace((header, record.cycle))
+            && last.sender_id == header.sender_id
+            && header.sequence > last.sequence + 1
+        {
+            self.missing_records += header.sequence - last.sequence - 1;
+            self.gaps_after.push(cycle);
+        }
         match outcome {
             Outcome::Reproduced(made) => {
                 self.reproduced += 1;
@@ -137,6 +151,14 @@ impl Verified {
         let mut lines = vec![format!(
             "{reproduced} of {cycles} cycles reproduced, {solved} of them solved; {speed:.0} times real time"
         )];
+        if let [first, others @ ..] = &self.gaps_after[..] {
+            let missing = counted(self.missing_records, "record");
+            let more = match others.len() {
+                0 => String::new(),
+                count => format!(" and at {}", counted(count as u64, "later place")),
+            };
+            lines.push(format!("missing: {missing}, after cycle {first}{more}"));
+        }
         if *without_reference > 0 {
             lines.push(format!(
                 "{without_reference} cycles follow a reference that is not completely recorded"
@@ -170,6 +192,8 @@ impl Verified {
             "first_difference": first,
             "different": self.different,
             "without_reference": self.without_reference,
+            "missing_records": self.missing_records,
+            "gaps_after": self.gaps_after,
             "solved": self.solved,
             "times_real_time": self.speed(took_s),
         })

@@ -42,21 +42,46 @@ fn a_recording_of_another_version_is_refused_and_both_are_named() {
 }
 
 #[test]
-fn of_a_damaged_recording_what_is_before_the_damage_is_saved() {
+fn of_a_damaged_recording_all_that_is_whole_is_saved() {
     let (place, file) = tracked_curve();
-    let mut bytes = fs::read(&file).unwrap();
-    let middle = bytes.len() / 2;
-    bytes[middle..middle + 1000].fill(0x5a);
-    fs::write(file.with_file_name("damaged.mcap"), &bytes).unwrap();
-    fs::write(file.with_file_name("begun.mcap"), &bytes[..8]).unwrap();
+    let whole = place.json("replay --verify run.mcap");
+    let bytes = fs::read(&file).unwrap();
+    let at = |part: &[u8]| {
+        let found = bytes.windows(part.len()).position(|bytes| bytes == part);
+        found.unwrap()
+    };
+    let early = bytes.len() / 4;
+    // The length of the attachment status.json lies 25 bytes before its name.
+    let length = at(b"status.json") - 4 - 16 - 8 + 1;
+    let mut wrong = bytes.clone();
+    wrong[early] ^= 1;
+    wrong[length] ^= 1;
+    wrong[bytes.len() / 2..][..1000].fill(0x5a);
+    fs::write(file.with_file_name("damaged.mcap"), &wrong).unwrap();
     let says = [
         "error: damaged.mcap: the recording is damaged",
-        "; recover the part before the damage with `cdcrctl info --repair damaged.mcap`",
+        "; recover all whole parts with `cdcrctl info --repair damaged.mcap`",
     ];
     place.checked("cdcrctl info damaged.mcap", 1, &says);
-    let says = ["is damaged", "saved", "the first"];
-    place.checked("cdcrctl info --repair damaged.mcap", 0, &says);
+    let says = [
+        "damaged.mcap: the recording is damaged; ",
+        " saved in damaged-repaired.mcap, ",
+        ", attachment status.json",
+        " s from ",
+    ];
+    let reported = place.checked("cdcrctl info --repair damaged.mcap", 0, &says);
+    assert_eq!(reported.matches("\nlost: ").count(), 3, "{reported}");
     place.checked("cdcrctl info damaged-repaired.mcap", 0, &["telemetry"]);
+    place.checked("cdcrctl convert damaged-repaired.mcap --csv tables", 0, &[]);
+    let says = ["cycles reproduced", "missing: ", "after cycle "];
+    place.checked("cdcrctl replay --verify damaged-repaired.mcap", 0, &says);
+    let saved = place.json("replay --verify damaged-repaired.mcap");
+    let count = |verified: &serde_json::Value, name: &str| verified[name].as_u64().unwrap();
+    let [saved_cycles, missing] = ["cycles", "missing_records"].map(|name| count(&saved, name));
+    assert_eq!(saved_cycles + missing, count(&whole, "cycles"), "{saved}");
+    assert!(missing > 0 && 4 * missing < saved_cycles, "{saved}");
+    assert_eq!(count(&saved, "different"), 0, "{saved}");
+    fs::write(file.with_file_name("begun.mcap"), &bytes[..8]).unwrap();
     place.checked("cdcrctl info --repair begun.mcap", 1, &["no message"]);
     assert!(!file.with_file_name("begun-repaired.mcap").exists());
 }
