@@ -280,6 +280,11 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         &self.robot
     }
 
+    /// Largest acceleration of each bend component (rad/s²).
+    pub fn acceleration_rad_s2(&self) -> f64 {
+        self.acceleration_rad_s2
+    }
+
     /// Present shape of the ideal robot. For a robot that differs from its model: the estimate of the shape to which
     /// its commands lead.
     pub fn configuration(&self) -> &Configuration {

@@ -5,11 +5,15 @@ use std::fmt;
 use cdcr_client::model::robot_of;
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::guard;
 
 /// A bend this near to its limit, as a share of it, is at the limit.
 const AT_LIMIT: f64 = 1e-3;
 /// From this share on, noise or a load may lead a real robot to the limit, where it does not obey.
 const NEAR_LIMIT: f64 = 0.95;
+
+/// What to do where a point is missed by a section at its limit, although other bends reach it.
+pub(crate) const WAY_OUT: &str = "in another shape the tip may arrive: cdcrctl home, then this again, or first go to a point between";
 
 /// The section whose bend is the largest share of its limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,11 +41,13 @@ impl BendShare {
         shares.fold(Self::NONE, Self::larger)
     }
 
-    /// The section that is at its limit in a record.
+    /// The section that is at its limit in a record, or whose command was kept inside it.
     pub(crate) fn at_limit_of(record: &Telemetry) -> Option<Self> {
         let robot = robot_of(&record.robot).ok()?;
         let here = Configuration::from_slice(record.bend_rad.get(..robot.coordinate_count())?)?;
-        Self::largest(&robot, &here).at_limit()
+        let share = Self::largest(&robot, &here);
+        let is_kept = record.guard_flags & guard::BEND != 0 && share.share >= NEAR_LIMIT;
+        share.at_limit().or(is_kept.then_some(share))
     }
 
     pub(crate) fn larger(self, other: Self) -> Self {
@@ -98,9 +104,15 @@ mod tests {
 
     #[test]
     fn a_bend_limit_at_the_end_of_a_reference_is_named() {
-        for (bend_rad, is_named) in [(2.4995, true), (2.4, false)] {
+        for (bend_rad, guard_flags, is_named) in [
+            (2.4995, 0, true),
+            (2.47, 0, false),
+            (2.47, guard::BEND, true),
+            (2.3, guard::BEND, false),
+        ] {
             let mut record = Telemetry {
                 mode: Mode::Tracking.code(),
+                guard_flags,
                 position_error_m: 0.05,
                 robot: robot(1),
                 ..Telemetry::default()

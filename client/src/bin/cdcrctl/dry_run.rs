@@ -3,10 +3,14 @@
 //! It simulates the closed loop with the ideal robot of the daemon's model. The start is the present
 //! configuration, with the daemon's tip offset, obstacles, acceleration and solver settings. The tip first
 //! moves directly to the first point, then along the points as they would be sent; each part has its own
-//! maxima. The guard has the daemon's stopping path, and keeps the margin of the present tip offset. A real
+//! maxima. A robot with a limit of its acceleration first joins their motion, as with the daemon; errors count
+//! from then on. The guard has the daemon's stopping path, and keeps the margin of the present tip offset. A real
 //! robot has motors, play and noise: near obstacles it may achieve less.
 
 mod held_back;
+mod joining;
+mod sent;
+mod slowed;
 mod too_fast;
 
 use std::fmt;
@@ -14,20 +18,23 @@ use std::io::Write;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use cdcr_client::model::{obstacle_of, orientation_of, robot_of, settings_of};
+use cdcr_client::model::{obstacle_of, robot_of, settings_of};
 use cdcr_client::{Connection, FeedOptions, Orientation, Trajectory, obstacles};
 use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
-use cdcr_controller::reference::{self, Interpolation, ReferencePoint};
+use cdcr_controller::reference::{self, Approach};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot};
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{self, Interface};
+use cdcr_shared_types::codes::Interface;
 use nalgebra::Vector3;
 
 use crate::bar::Bar;
-use crate::bend_limit::BendShare;
+use crate::bend_limit::{BendShare, WAY_OUT};
 use crate::interrupt::Interrupt;
 use held_back::HeldBack;
+use joining::joining;
+use sent::{PositionsOf, check_duration, points};
+use slowed::Slowed;
 pub(crate) use too_fast::check_speed;
 
 /// Maximum duration of the move to the first point \[s\].
@@ -39,8 +46,6 @@ const STALL_CYCLES: u32 = 100;
 const NEAR_M: f64 = 5e-3;
 /// Maximum number of cycles of a simulated reference.
 const CYCLES_MAX: u64 = 200_000;
-/// A file with rows farther apart than this may have times in milliseconds \[s\].
-const FAR_APART_S: f64 = 1.0;
 
 /// From a first point nearer than this, the approach is the reference itself \[m\].
 const JOINED_M: f64 = 1e-3;
@@ -48,7 +53,7 @@ const JOINED_M: f64 = 1e-3;
 const NO_APPROACH: &str = "  \
     --track does not go the fastest way: it joins the reference while that moves (motion.approach). Rates, strokes and clearance on that way are \
     not computed;\n  the clearance may be smaller, down to the safe distance that the guard keeps. --blend goes straight to the first point: \
-    cdcrctl goto X,Y,Z --dry-run computes that way.";
+    --blend --dry-run computes that way, too.";
 
 /// Demands of a reference on the robot.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,6 +76,8 @@ pub(crate) struct Demands {
     stroke_max_m: f64,
     safe_distance_m: f64,
     has_orientation: bool,
+    /// The tip is brought to the first point before; that way is computed apart.
+    pub(crate) is_blended: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -84,28 +91,9 @@ struct Motion {
     stroke_m: f64,
     /// In the newest period.
     held_back: Option<HeldBack>,
+    /// In the newest period.
+    slowed: Option<Slowed>,
     clearance_m: f64,
-}
-
-/// The positions of a trajectory, with any orientation.
-struct PositionsOf<'a>(&'a dyn Trajectory);
-
-impl Trajectory for PositionsOf<'_> {
-    fn name(&self) -> &str {
-        self.0.name()
-    }
-
-    fn duration_s(&self) -> f64 {
-        self.0.duration_s()
-    }
-
-    fn position_m(&self, time_s: f64) -> [f64; 3] {
-        self.0.position_m(time_s)
-    }
-
-    fn knots_s(&self) -> Option<&[f64]> {
-        self.0.knots_s()
-    }
 }
 
 /// The record of this cycle; a status may be 0.1 s old.
@@ -198,7 +186,14 @@ pub(crate) fn simulate(
     let lead_s = options.lead.as_secs_f64();
     let moved: Vec<_> = known.iter().map(|one| one.moved(lead_s)).collect();
     let there = *way.configuration();
-    let mut path = ClosedLoop::new(&robot, period_s, settings, there, &moved, at_s)?
+    // As the daemon does, which joins a moving reference from rest; the ideal robot has no limit of its acceleration.
+    let joining = if record.acceleration_rad_s2.is_finite() {
+        joining(&points, record.period_ns, robot.reach_m())
+    } else {
+        Approach::default()
+    };
+    let followed = |time_s: f64| joining.followed_sample(&at_s(time_s), (time_s * 1e9) as u64);
+    let mut path = ClosedLoop::new(&robot, period_s, settings, there, &moved, followed)?
         .with_acceleration(record.acceleration_rad_s2)
         .with_stopping(valid_periods, record.deceleration_rad_s2)
         .with_tip_offset(record.tip_margin_m);
@@ -210,57 +205,12 @@ pub(crate) fn simulate(
         }
         demands.along.step(&mut path, &mut nmpc, period_s);
         let time_s = path.time_s().min(trajectory.duration_s());
-        demands.note_error(time_s, trajectory.position_m(time_s), path.error_m());
+        if joining.is_over((path.time_s() * 1e9) as u64) {
+            demands.note_error(time_s, trajectory.position_m(time_s), path.error_m());
+        }
         bar.show_share(cycle as f64 / cycles);
     }
     Ok(demands)
-}
-
-/// Fails when the motion is too long to be simulated: probably its times are in milliseconds if its rows are far apart.
-fn check_duration(trajectory: &dyn Trajectory, longest_s: f64) -> anyhow::Result<()> {
-    let duration_s = trajectory.duration_s();
-    if duration_s <= longest_s {
-        return Ok(());
-    }
-    let steps = trajectory.knots_s().map_or(0, |knots_s| knots_s.len() - 1);
-    let step_s = duration_s / steps as f64;
-    if steps > 0 && step_s >= FAR_APART_S {
-        bail!(
-            "the motion takes {duration_s:.0} s, more than {longest_s:.0} s, with rows {step_s:.1} s apart: are these \
-             milliseconds?\nt_s is in s: 150 ms are 0.15"
-        );
-    }
-    bail!("the motion takes {duration_s:.0} s, more than {longest_s:.0} s: use a higher speed");
-}
-
-/// The points as they would be sent, on a clock that starts with the trajectory.
-fn points(
-    trajectory: &dyn Trajectory,
-    options: &FeedOptions,
-    reach_m: f64,
-) -> anyhow::Result<reference::Trajectory> {
-    let duration_s = trajectory.duration_s();
-    let step_s = options.step.as_secs_f64();
-    let even =
-        (0..=(duration_s / step_s).ceil() as u64).map(|k| (k as f64 * step_s).min(duration_s));
-    let mut times_s = match trajectory.knots_s() {
-        Some(knots_s) => knots_s.to_vec(),
-        None => even.collect(),
-    };
-    times_s.dedup_by(|later, earlier| *later - *earlier < 1e-6);
-    let interpolation = match options.interpolation {
-        codes::Interpolation::Linear => Interpolation::Linear,
-        codes::Interpolation::Cubic => Interpolation::Cubic,
-    };
-    let point = |time_s: &f64| ReferencePoint {
-        time_ns: (time_s * 1e9) as u64,
-        position_m: trajectory.position_m(*time_s).into(),
-        orientation: orientation_of(trajectory.orientation(*time_s)),
-        interpolation,
-    };
-    let mut points = reference::Trajectory::with_capacity(times_s.len(), reach_m);
-    points.replace(times_s.iter().map(point))?;
-    Ok(points)
 }
 
 impl Motion {
@@ -272,6 +222,7 @@ impl Motion {
         bend_share: BendShare::NONE,
         stroke_m: 0.0,
         held_back: None,
+        slowed: None,
         clearance_m: f64::INFINITY,
     };
 
@@ -305,6 +256,7 @@ impl Motion {
         let largest_m = strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()));
         self.stroke_m = self.stroke_m.max(largest_m);
         self.held_back = HeldBack::newest(closed, largest_m);
+        self.slowed = Slowed::newest(closed, &before, period_s);
         self.clearance_m = self.clearance_m.min(closed.clearance_m());
     }
 
@@ -330,6 +282,7 @@ impl Demands {
             stroke_max_m: robot.cable_stroke_max_m(),
             safe_distance_m: settings.safe_distance_m,
             has_orientation: false,
+            is_blended: false,
         }
     }
 
@@ -411,11 +364,19 @@ impl Demands {
     /// Fails when the end is missed by more than `allowed_m`.
     pub(crate) fn check_end(&self, allowed_m: f64) -> anyhow::Result<()> {
         if self.error_end_m > allowed_m {
-            let limit = self.along.held_back.map(|limit| format!(": {limit}"));
+            let Motion {
+                held_back, slowed, ..
+            } = self.along;
+            let limit = match (held_back, slowed) {
+                (Some(limit @ HeldBack::Bend(_)), _) => format!(": {limit}; {WAY_OUT}"),
+                (Some(limit), _) => format!(": {limit}"),
+                (None, Some(limit)) => format!(": {limit}"),
+                (None, None) => String::new(),
+            };
             bail!(
                 "not reachable: {}{}{}; nothing moved",
                 away(self.error_end_m, self.end_m),
-                limit.unwrap_or_default(),
+                limit,
                 self.obstruction()
             );
         }
@@ -482,7 +443,7 @@ impl fmt::Display for Demands {
         if let Some(near) = along.bend_share.warning() {
             writeln!(f, "  warning: {near}")?;
         }
-        if self.distance_m > JOINED_M {
+        if self.distance_m > JOINED_M && !self.is_blended {
             writeln!(f, "{NO_APPROACH}")?;
         }
         Ok(())

@@ -58,12 +58,19 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
     }
     let allowed_m = arguments.max_error.unwrap_or(MISSED_M);
     if arguments.dry_run {
-        let demands = dry_run::compute(&connection, &*trajectory, &feed)?;
+        if arguments.blend {
+            blend(&connection, arguments, &*trajectory)?;
+        }
+        let mut demands = dry_run::compute(&connection, &*trajectory, &feed)?;
+        demands.is_blended = arguments.blend;
         demands.print(trajectory.name())?;
         reach::check(&newest(&connection)?, &*trajectory, allowed_m)?;
         let positions = || dry_run::compute_positions(&connection, &*trajectory, &feed);
         demands.check_orientation(allowed_m, positions)?;
         demands.check(allowed_m)?;
+        if arguments.blend {
+            return Ok(Done::Good);
+        }
         note_distance(&newest(&connection)?, &*trajectory);
         return Ok(Done::Good);
     }
@@ -80,15 +87,7 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
         unmeasured_tip::warn_now(&connection);
     }
     if arguments.blend {
-        let (speed, acceleration) = GENTLE;
-        let way = StraightArguments {
-            speed,
-            acceleration,
-            max_error: allowed_m.max(MOVED_M),
-            dry_run: false,
-        };
-        let first_m = trajectory.position_m(0.0);
-        let done = go(&connection, &way, |_| first_m).context("moving to the first point")?;
+        let done = blend(&connection, arguments, &*trajectory)?;
         if done != Done::Good {
             return Ok(done);
         }
@@ -98,6 +97,23 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
         error.print(arguments.max_error)?;
     }
     Ok(done)
+}
+
+/// Moves the tip to the first point as `goto` does, or computes that way.
+fn blend(
+    connection: &Connection,
+    arguments: &FeedArguments,
+    trajectory: &dyn Trajectory,
+) -> anyhow::Result<Done> {
+    let (speed, acceleration) = GENTLE;
+    let way = StraightArguments {
+        speed,
+        acceleration,
+        max_error: arguments.max_error.unwrap_or(MISSED_M).max(MOVED_M),
+        dry_run: arguments.dry_run,
+    };
+    let first_m = trajectory.position_m(0.0);
+    go(connection, &way, |_| first_m).context("moving to the first point")
 }
 
 /// Says that an approach may lead the tip far from the reference.
@@ -152,7 +168,7 @@ pub(crate) fn go(
     if done == Done::Good {
         let end = newest(connection)?;
         let cause = unmeasured_tip::cause(&connection.status(STATUS)?, &end);
-        way_end::print(&end, cause, error.fresh_ns(), goal_m, arguments.max_error)?;
+        way_end::print(&end, cause, &error, goal_m, arguments.max_error)?;
     }
     Ok(done)
 }

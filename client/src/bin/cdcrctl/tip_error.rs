@@ -212,6 +212,11 @@ impl TipError {
         Some(format!("error {:.3}{measured} mm", 1e3 * self.final_m))
     }
 
+    /// The section that was at its bend limit in the last cycle.
+    pub(crate) fn at_limit(&self) -> Option<BendShare> {
+        self.at_limit
+    }
+
     /// A tip measurement of this age belongs to the path, not to its end \[ns\].
     pub(crate) fn fresh_ns(&self) -> u64 {
         self.measured.fresh_ns()

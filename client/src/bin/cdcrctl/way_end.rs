@@ -5,20 +5,22 @@ use std::io::Write;
 use anyhow::bail;
 use cdcr_shared_types::Telemetry;
 
+use crate::bend_limit::WAY_OUT;
 use crate::standing::distance_m;
+use crate::tip_error::TipError;
 
-/// Prints the final distance to the point, estimated and, unless `fresh_ns` have passed since, measured; fails when
-/// either exceeds `limit_m`. `unmeasured`: why the estimate is that of the model.
+/// Prints the final distance to the point, estimated and, while it is fresh, measured; fails when either exceeds `limit_m`,
+/// and names the bend limit at which the way ended. `unmeasured`: why the estimate is that of the model.
 pub(crate) fn print(
     end: &Telemetry,
     unmeasured: Option<String>,
-    fresh_ns: u64,
+    way: &TipError,
     goal_m: [f64; 3],
     limit_m: f64,
 ) -> anyhow::Result<()> {
     let estimated_m = distance_m(end.tip_position_m, goal_m);
     let (mut largest_m, mut by) = (estimated_m, String::new());
-    if end.release_ns < end.tip_measured_ns + fresh_ns {
+    if end.release_ns < end.tip_measured_ns + way.fresh_ns() {
         let measured_m = distance_m(end.tip_measured_m, goal_m);
         largest_m = largest_m.max(measured_m);
         by = format!(" ({:.3} mm as measured)", 1e3 * measured_m);
@@ -29,7 +31,11 @@ pub(crate) fn print(
     let left = 1e3 * estimated_m;
     if largest_m > limit_m {
         let limit = 1e3 * limit_m;
-        bail!("the tip is {left:.3} mm from the point{by}, more than --max-error, {limit:.3} mm");
+        let held_back = way.at_limit().map(|bend| format!(": {bend}; {WAY_OUT}"));
+        bail!(
+            "the tip is {left:.3} mm from the point{by}, more than --max-error, {limit:.3} mm{}",
+            held_back.unwrap_or_default()
+        );
     }
     writeln!(
         std::io::stdout(),
@@ -40,6 +46,8 @@ pub(crate) fn print(
 
 #[cfg(test)]
 mod tests {
+    use cdcr_shared_types::codes::{Mode, ReferenceState};
+
     use super::*;
 
     #[test]
@@ -52,7 +60,7 @@ mod tests {
             ..Telemetry::default()
         };
         let check = |end: &Telemetry, x_m: f64, limit_m: f64| {
-            print(end, None, 100_000_000, [x_m, 0.0, 0.8], limit_m)
+            print(end, None, &TipError::default(), [x_m, 0.0, 0.8], limit_m)
         };
         let text = check(&end, 0.1, 0.002).expect_err("measured beside");
         let text = text.to_string();
@@ -62,8 +70,8 @@ mod tests {
         );
         assert!(check(&end, 0.1, 0.004).is_ok());
         let cause = Some("the measured tip is not in use".to_owned());
-        let text =
-            print(&end, cause, 100_000_000, [0.1, 0.0, 0.8], 0.002).expect_err("measured beside");
+        let text = print(&end, cause, &TipError::default(), [0.1, 0.0, 0.8], 0.002)
+            .expect_err("measured beside");
         let text = text.to_string();
         assert!(
             text.contains("0.000 mm from the point by the model (3.000 mm as measured); the measured tip is not in use, more"),
@@ -73,5 +81,37 @@ mod tests {
         end.tip_measured_ns = 800_000_000;
         assert!(check(&end, 0.1, 0.002).is_ok());
         assert!(check(&end, 0.103, 0.002).is_err());
+    }
+
+    #[test]
+    fn a_way_that_ends_at_a_bend_limit_names_it_and_the_way_out() {
+        let mut end = Telemetry {
+            release_ns: 1_000_000_000,
+            mode: Mode::Tracking.code(),
+            tip_position_m: [0.1, 0.0, 0.25],
+            ..Telemetry::default()
+        };
+        end.reference.state = ReferenceState::Inside.code();
+        end.robot.sections = 1;
+        (end.robot.cable_speed_max_m_s, end.robot.cable_stroke_max_m) = (1.0, 0.2);
+        let section = &mut end.robot.section[0];
+        (section.length_m, section.cable_radius_m) = (0.3, 0.02);
+        (section.bend_max_rad, section.rate_max_rad_s) = (2.0, 4.0);
+        let mut text_at = |bend_rad: f64| {
+            end.bend_rad[0] = bend_rad;
+            let mut way = TipError::default();
+            way.take(&end);
+            print(&end, None, &way, [0.109, 0.0, 0.25], 0.002)
+                .expect_err("beside")
+                .to_string()
+        };
+        let text = text_at(2.0);
+        for part in [
+            "9.000 mm from the point, more than --max-error, 2.000 mm: section 1 is at its bend limit, robot.sections[0].bend_max_rad = 2; in another shape",
+            "cdcrctl home, then this again",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
+        assert!(!text_at(1.5).contains("limit,"), "not at a limit");
     }
 }

@@ -58,8 +58,10 @@ fn figures_are_tried_and_followed() {
         1,
         "too fast: at",
     );
-    let both = "ref polygon --radius 0.02 --blend --dry-run";
-    checked(&daemon, both, 2, "cannot be used with");
+    let alone = "ref polygon --radius 0.02 --blend";
+    checked(&daemon, alone, 2, "<--track|--dry-run>");
+    let both = "ref polygon --radius 0.02 --speed 0.15 --blend --dry-run";
+    checked(&daemon, both, 0, "straight way: nothing moved");
     for of_mm in ["goto 0.1,0,0.8 --speed 50", "ref rose --speed 50"] {
         checked(&daemon, of_mm, 2, "is it in mm/s?");
     }

@@ -58,14 +58,15 @@ pub(crate) enum Curve {
 #[derive(Debug, Args)]
 pub(crate) struct FeedArguments {
     /// Request tracking as soon as the first chunk is sent
-    #[arg(long)]
+    #[arg(long, group = "computed_or_tracked")]
     pub(crate) track: bool,
-    /// First move the tip to the first point along a straight line, from rest to rest, as cdcrctl goto
-    #[arg(long, requires = "track", conflicts_with = "dry_run")]
+    /// First move the tip to the first point along a straight line, from rest to rest, as cdcrctl goto; with --dry-run, compute that
+    /// way, too
+    #[arg(long, requires = "computed_or_tracked")]
     pub(crate) blend: bool,
     /// Move nothing: report the error that the robot can reach, the rate, acceleration, cable stroke and
     /// clearance that it needs, and the direct path to the first point; fail when a point is missed by more than --max-error (1 mm if not given)
-    #[arg(long, conflicts_with = "track")]
+    #[arg(long, group = "computed_or_tracked")]
     pub(crate) dry_run: bool,
     /// Interpolation between the points in the daemon: straight lines or a smooth cubic curve
     #[arg(long, value_parser = value::interpolation(), default_value = Interpolation::Cubic.text())]

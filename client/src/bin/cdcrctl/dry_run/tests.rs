@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use cdcr_client::FileTrajectory;
+use cdcr_client::{Changed, Circle, FigurePlane, FileTrajectory};
 use cdcr_controller::robot::RobotParameters;
 use cdcr_shared_types::RobotDescription;
 
@@ -91,6 +91,28 @@ fn a_reference_above_the_speed_limit_of_the_tip_names_it() {
 }
 
 #[test]
+fn a_limit_for_which_a_motion_takes_too_long_is_named() {
+    let file = reference("t_s,x_m,y_m,z_m\n0,0.1,0,0.57\n2,0.2,0,0.53\n");
+    let settings = NmpcSettings::default();
+    let refused = |record: &Telemetry| {
+        let demands = simulate(record, settings, &file, &FeedOptions::default()).unwrap();
+        let checked = demands.check_end(1e-3);
+        checked.map_or_else(|error| error.to_string(), |()| String::new())
+    };
+    let mut record = two_sections();
+    assert_eq!(refused(&record), "");
+    record.acceleration_rad_s2 = 0.01;
+    let text = refused(&record);
+    let limit = "at this --speed a bend would have to accelerate by more than its limit, motion.acceleration_rad_s2 = 0.01; nothing moved";
+    assert!(text.contains(limit), "{text}");
+    record = two_sections();
+    record.robot.cable_speed_max_m_s = 0.0005;
+    let text = refused(&record);
+    let limit = "at this --speed a cable is at its limit, robot.cable_speed_max_m_s = 0.0005; nothing moved";
+    assert!(text.contains(limit), "{text}");
+}
+
+#[test]
 fn a_cable_at_its_limit_is_not_called_too_fast() {
     let mut record = two_sections();
     record.robot.cable_stroke_max_m = 0.01;
@@ -125,6 +147,9 @@ fn a_bend_at_its_limit_is_named_and_one_near_it_warned_of() {
     let text = near.to_string();
     assert!(text.contains("% of its limit, robot.sections["), "{text}");
     let beyond = at(0.5);
+    let text = beyond.check_end(1e-3).unwrap_err().to_string();
+    let way_out = "= 0.5; in another shape the tip may arrive: cdcrctl home, then this again";
+    assert!(text.contains(way_out), "{text}");
     for error in [beyond.check(1e-3), beyond.check_end(1e-3)] {
         let text = error.unwrap_err().to_string();
         assert!(
@@ -133,6 +158,29 @@ fn a_bend_at_its_limit_is_named_and_one_near_it_warned_of() {
         );
         assert!(text.contains("bend_max_rad = 0.5"), "{text}");
     }
+}
+
+/// The paper's circle begins at 0.17 m/s, and the daemon joins it smoothly. A tip that tried to follow it from rest at once would stay 2.4 mm
+/// away.
+#[test]
+fn a_tip_that_joins_a_moving_reference_is_not_called_too_slow_for_it() {
+    let mut record = two_sections();
+    record.robot.sections = 1;
+    record.acceleration_rad_s2 = 40.0;
+    let section = &mut record.robot.section[0];
+    (section.cable_radius_m, section.bend_max_rad) = (0.0125, 2.8);
+    section.rate_max_rad_s = 2.0;
+    let checked = |speed: f64, allowed_m: f64| {
+        let circle = Box::new(Circle::for_sections(&[0.3]));
+        let circle = Changed::new(circle, speed, 1.0, FigurePlane::Xy, 1);
+        let (settings, options) = (NmpcSettings::default(), FeedOptions::default());
+        let checked = check_speed(&record, settings, &circle, &options, allowed_m);
+        checked.map_err(|error| error.to_string())
+    };
+    assert_eq!(checked(1.0, 1e-3), Ok(()));
+    // Faster than the rates allow, all the way.
+    let text = checked(4.0, 1e-3).unwrap_err();
+    assert!(text.contains("too fast: at "), "{text}");
 }
 
 #[test]
@@ -186,6 +234,9 @@ fn the_fastest_way_to_a_far_first_point_is_not_taken_for_the_approach() {
             .contains("--track does not go the fastest way")
     };
     assert!(says_so(0.1) && !says_so(1e-4));
+    let mut blended = Demands::new(&robot, &NmpcSettings::default(), 0.1);
+    blended.is_blended = true;
+    assert!(!blended.to_string().contains("--track"));
 }
 
 #[test]
