@@ -14,6 +14,10 @@ const STROKE_M_MAX: f64 = 2.0;
 const PLAY_SHARE_MAX: f64 = 0.1;
 /// Smallest speed limit of a cable that is taken to be meant, as a share of what the largest rates need.
 const CABLE_SPEED_SHARE_MIN: f64 = 0.02;
+/// Largest tolerance of home that is taken to be meant \[rad\].
+const HOME_RAD_MAX: f64 = 0.1;
+/// Smallest stroke that is taken to be meant, as a share of what full bends need.
+const STROKE_SHARE_MIN: f64 = 0.7;
 /// Longest validity of a command that is taken to be meant \[ms\].
 const VALID_MS_MAX: f64 = 1000.0;
 /// Motion at a usual speed, 0.25 m/s, is 25 mm in this time \[ms\].
@@ -103,6 +107,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
     warnings
         .chain(unusual(config))
         .chain(of_units(config))
+        .chain(of_reach(config))
         .chain(of_checks(config))
         .collect()
 }
@@ -164,6 +169,44 @@ fn of_units(config: &Config) -> Vec<String> {
     ]
     .into_iter()
     .filter_map(|(is_suspicious, text)| is_suspicious.then_some(text))
+    .collect()
+}
+
+/// Limits with which the robot hardly moves, or not where it is asked to.
+fn of_reach(config: &Config) -> Vec<String> {
+    let motion = &config.motion;
+    let sections = config.robot.sections.iter();
+    let fastest_rad_s = sections.map(|s| s.rate_max_rad_s).fold(0.0, f64::max);
+    let grows_s = fastest_rad_s / motion.acceleration_rad_s2;
+    let (full_m, stroke_m) = (
+        config.robot.full_stroke_m(),
+        config.robot.cable_stroke_max_m,
+    );
+    [
+        (
+            motion.home_tolerance_rad > HOME_RAD_MAX,
+            format!(
+                "motion.home_tolerance_rad = {}: a robot that is bent by up to that counts as straight, and home does not move it; in degrees?",
+                motion.home_tolerance_rad
+            ),
+        ),
+        (
+            motion.acceleration_rad_s2 > 0.0 && grows_s > REST_MAX_S,
+            format!(
+                "motion.acceleration_rad_s2 = {}: a rate takes {grows_s:.0} s to grow to its limit, so that the robot hardly moves; in another unit?",
+                motion.acceleration_rad_s2
+            ),
+        ),
+        (
+            stroke_m < STROKE_SHARE_MIN * full_m,
+            format!(
+                "robot.cable_stroke_max_m = {stroke_m}: at full bend of all sections to one side a cable moves by {full_m:.3} m, so that the strokes \
+                 keep the robot from most of its reach; in another unit?"
+            ),
+        ),
+    ]
+    .into_iter()
+    .filter_map(|(is_doubtful, text)| is_doubtful.then_some(text))
     .collect()
 }
 
