@@ -15,6 +15,9 @@ const CHUNK_EXTRA_NS: u64 = 250_000_000;
 /// interpolation needs.
 const PLAYED_AFTER_NS: u64 = 100_000_000;
 
+/// Shortest time between two points \[s\]: the daemon rejects less than 1 µs.
+const GAP_S: f64 = 2e-6;
+
 /// Determines the due points of a trajectory and the next chunk.
 pub(super) struct Schedule<'t> {
     trajectory: &'t dyn Trajectory,
@@ -127,7 +130,7 @@ fn sample_count(duration_s: f64, step_s: f64) -> u64 {
     let steps = duration_s / step_s;
     // A remainder below a millionth of a step is due to rounding.
     let whole = (steps + 1e-6).floor();
-    let remainder = u64::from(steps - whole > 1e-6);
+    let remainder = u64::from((steps - whole) * step_s > GAP_S);
     whole as u64 + 1 + remainder
 }
 
@@ -157,6 +160,9 @@ mod tests {
         assert_eq!(sample_count(0.0, 0.005), 1);
         assert_eq!(sample_count(0.012, 0.005), 4);
         assert_eq!(sample_count(2.55, 0.005), 511);
+        // The daemon would reject a point 0.5 µs after the last one.
+        assert_eq!(sample_count(1.000_000_5, 0.005), 201);
+        assert_eq!(sample_count(1.000_005, 0.005), 202);
     }
 
     #[test]
