@@ -24,9 +24,10 @@ class Connection:
     def __enter__(self, /) -> Connection: ...
     def __exit__(self, _kind: object = None, _error: object = None, _trace: object = None, /) -> None: ...
     def __repr__(self, /) -> str: ...
-    def change_settings(self, /, **changes: Unpack[Settings]) -> None:
+    def change_settings(self, /, *, budget_ms: float | None = None, **changes: Unpack[Settings]) -> None:
         """
-        Changes settings of the solver, by their names; the others stay. The daemon uses them from the next cycle on.
+        Changes settings of the solver, by their names, and its time in each cycle, budget_ms [ms], 0: all the remaining period. The others
+        stay. The daemon uses them from the next cycle on.
 
         Raises ArgumentError for an unknown key and a value outside its range, RequestError if the daemon refuses.
         """

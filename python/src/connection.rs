@@ -7,7 +7,7 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use cdcr_client::model::{broken_bound, settings_of};
+use cdcr_client::model::broken_bound;
 use cdcr_client::{
     self, CommandStream, ConnectError, LinkError, ObstacleSender, RequestError, Requester, Stream,
     TelemetryStream,
@@ -31,7 +31,7 @@ use crate::mapping::pairs;
 use crate::numbers::{count, seconds, until, within};
 use crate::obstacle::{Obstacle, check_count};
 use crate::robot::Robot;
-use crate::settings::{Settings, change, settings};
+use crate::settings::{Settings, changed, known};
 use crate::trajectory::{Points, Source, Trajectory};
 use crate::wire::Records;
 use crate::worker::{Worker, once, refuse_forked_process, sleep_until};
@@ -166,33 +166,26 @@ impl Connection {
 
     /// The solver's settings in force. Raises LinkError if the daemon is silent.
     fn settings(&self, py: Python<'_>) -> PyResult<Settings> {
-        let wire = self.wire_settings(py)?;
-        let settings = settings_of(&wire);
-        Ok(Settings(settings.map_err(|code| {
-            Failure::new(
-                Class::Link,
-                code,
-                "Install daemon and package of one version.",
-            )
-        })?))
+        known(&self.wire_settings(py)?)
     }
 
-    /// Changes settings of the solver, by their names; the others stay. The daemon uses them from the next cycle on.
+    /// Changes settings of the solver, by their names, and its time in each cycle, budget_ms [ms], 0: all the remaining period. The others
+    /// stay. The daemon uses them from the next cycle on.
     ///
     /// Raises ArgumentError for an unknown key and a value outside its range, RequestError if the daemon refuses.
-    #[pyo3(signature = (**changes: "Unpack[Settings]"))]
-    fn change_settings(&self, py: Python<'_>, changes: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
-        let Some(changes) = changes else {
+    #[pyo3(signature = (*, budget_ms = None, **changes: "Unpack[Settings]"))]
+    fn change_settings(
+        &self,
+        py: Python<'_>,
+        budget_ms: Option<f64>,
+        changes: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<()> {
+        if budget_ms.is_none() && changes.is_none() {
             return Ok(());
-        };
-        let all = self.settings(py)?.into_pyobject(py)?;
-        all.update(changes.as_mapping())?;
-        let mut settings = settings(Some(&all))?;
-        if settings.rate_weight == RateWeight::Auto {
-            settings.rate_weight = self.snapshot(py, 1.0)?.rate_weight_auto.into();
         }
-        let mut wire = self.wire_settings(py)?;
-        change(&mut wire, &settings)?;
+        let rate_weight_auto = || Ok(self.snapshot(py, 1.0)?.rate_weight_auto);
+        let before = self.wire_settings(py)?;
+        let wire = changed(before, budget_ms, changes, rate_weight_auto)?;
         let changed = self
             .worker
             .call_on_thread(py, move |desk| desk.connection.change_settings(wire))?;

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
 
-use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_client::model::settings_of;
+use cdcr_controller::nmpc::{NmpcSettings, RateWeight};
 use cdcr_shared_types::SolverSettings;
 use cdcr_shared_types::message::{Meaning, Struct, ValueMut};
 use pyo3::inspect::PyStaticExpr;
@@ -14,7 +15,11 @@ use pyo3::types::{PyBool, PyDict};
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use crate::errors::{Failure, REPORT};
+use crate::errors::{Class, Failure, REPORT};
+use crate::numbers::within;
+
+/// Largest time budget [ms]: the longest period of a daemon, which checks its own.
+const BUDGET_MS_MAX: f64 = 100.0;
 
 /// The defaults with the changes of a dictionary, checked.
 pub(crate) fn settings(given: Option<&Bound<'_, PyDict>>) -> PyResult<NmpcSettings> {
@@ -133,8 +138,43 @@ pub(crate) fn read(path: &PathBuf) -> Result<Table, Failure> {
     })
 }
 
+/// The settings of a daemon.
+pub(crate) fn known(wire: &SolverSettings) -> PyResult<Settings> {
+    let settings = settings_of(wire).map_err(|code| {
+        Failure::new(
+            Class::Link,
+            code,
+            "Install daemon and package of one version.",
+        )
+    })?;
+    Ok(Settings(settings))
+}
+
+/// The settings of a daemon with changes, checked. `rate_weight_auto` gives the number that it chose for its robot.
+pub(crate) fn changed(
+    mut wire: SolverSettings,
+    budget_ms: Option<f64>,
+    changes: Option<&Bound<'_, PyDict>>,
+    rate_weight_auto: impl FnOnce() -> PyResult<f64>,
+) -> PyResult<SolverSettings> {
+    if let Some(changes) = changes {
+        let all = known(&wire)?.into_pyobject(changes.py())?;
+        all.update(changes.as_mapping())?;
+        let mut settings = settings(Some(&all))?;
+        if settings.rate_weight == RateWeight::Auto {
+            settings.rate_weight = rate_weight_auto()?.into();
+        }
+        change(&mut wire, &settings)?;
+    }
+    if let Some(budget_ms) = budget_ms {
+        let budget_ms = within("budget_ms", budget_ms, 0.0..=BUDGET_MS_MAX)?;
+        wire.budget_ns = (budget_ms * 1e6).round() as u64;
+    }
+    Ok(wire)
+}
+
 /// Writes settings into a message, by the common names. Other fields of the message are unchanged.
-pub(crate) fn change(message: &mut SolverSettings, settings: &NmpcSettings) -> Result<(), Failure> {
+fn change(message: &mut SolverSettings, settings: &NmpcSettings) -> Result<(), Failure> {
     let table = Table::try_from(settings).map_err(|error| Failure::argument(error, REPORT))?;
     let mut unknown = None;
     message.visit_mut(&mut |field, place| {

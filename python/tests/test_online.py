@@ -101,7 +101,12 @@ def test_settings_change_by_name_and_the_others_stay(daemon: Daemon) -> None:
         connection.change_settings(horizon_steps=4, solver="gauss-newton", safe_distance_m=0.02)
         assert connection.settings() == {**before, "horizon_steps": 4, "solver": "gauss-newton", "safe_distance_m": 0.02}
         connection.change_settings()
-        for wrong in [{"horizon_steps": 51}, {"horizn": 1}, {"solver": "best"}, {"damping": np.nan}]:
+        connection.change_settings(budget_ms=1.5)
+        assert connection.telemetry(0.5)[-1]["settings"]["budget_ns"] == 1_500_000
+        assert connection.settings()["horizon_steps"] == 4
+        with pytest.raises(cdcr.RequestError, match="budget_ms = 50 is longer than the period of the daemon"):
+            connection.change_settings(budget_ms=50)
+        for wrong in [{"budget_ms": -1.0}, {"budget_ms": np.nan}, {"horizon_steps": 51}, {"horizn": 1}, {"solver": "best"}, {"damping": np.nan}]:
             with pytest.raises(cdcr.ArgumentError):
                 connection.change_settings(**wrong)
         # Less than the configured distance, which only the daemon knows.
