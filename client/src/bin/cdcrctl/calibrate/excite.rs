@@ -10,6 +10,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::RequestKind;
 use nalgebra::Vector3;
 
+use super::bends::check_bends;
 use super::record::{OR, Rows, check_sensors, print_rows};
 use super::resting::{Sensors, rests};
 use crate::Done;
@@ -264,22 +265,6 @@ fn too_short(asked_s: f64, bounds: Bounds, round_s: f64) -> String {
     )
 }
 
-/// Fails when a bend is beyond the bound.
-fn check_bends(record: &Telemetry, bend_max_rad: f64) -> anyhow::Result<()> {
-    let pairs = record.present_rad.chunks(2).enumerate();
-    for (section, pair) in pairs {
-        let bend_rad = pair[0].hypot(pair[1]);
-        ensure!(
-            bend_rad <= bend_max_rad,
-            "section {} bends by {bend_rad:.4} rad, more than --bend-max {bend_max_rad:.4}: tip or cables are not as the model says, and the correction \
-             by the measurement bends the robot farther than planned. The robot holds, and the rows so far are kept: try `cdcrctl calibrate geometry` \
-             on them, and for all rows restart cdcrd with --set estimator.tip_noise_m=0.1: it leaves tip errors below 25 mm as they are",
-            section + 1
-        );
-    }
-    Ok(())
-}
-
 /// A path of the tip to all sides, near and far, that starts and ends at rest: where it began, or bent if two sections
 /// began straight.
 #[derive(Clone)]
@@ -467,20 +452,6 @@ mod tests {
         assert!(note.contains("--rate-max 1.000 makes it as fast"), "{note}");
         let note = slow_note(0.25, bounds(true)).expect("slow");
         assert!(note.contains("--bend-max"), "{note}");
-    }
-
-    #[test]
-    fn a_bend_beyond_the_bound_names_what_helps_with_a_sensor_beside_the_tip() {
-        let mut record = Telemetry::default();
-        record.present_rad[2] = 1.9;
-        check_bends(&record, 2.0).expect("within the bound");
-        let error = check_bends(&record, 1.8)
-            .expect_err("beyond it")
-            .to_string();
-        for part in ["section 2 bends by 1.9", "estimator.tip_noise_m=0.1"] {
-            assert!(error.contains(part), "{error}");
-        }
-        assert!(!error.contains("larger --bend-max"), "{error}");
     }
 
     #[test]

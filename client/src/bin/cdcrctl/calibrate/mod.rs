@@ -1,6 +1,7 @@
 //! Records measurements of a robot, and identifies its parameters.
 
 mod advice;
+mod bends;
 mod excite;
 mod geometry;
 mod noise;
