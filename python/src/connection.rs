@@ -12,7 +12,6 @@ use cdcr_client::{
     self, CommandStream, ConnectError, LinkError, ObstacleSender, RequestError, Requester, Stream,
     TelemetryStream,
 };
-use cdcr_controller::nmpc::RateWeight;
 use cdcr_controller::robot::Robot as Model;
 use cdcr_shared_types::codes::{Outcome, RequestKind};
 use cdcr_shared_types::{

@@ -102,7 +102,8 @@ pub(super) fn uncertain(held: &[Held]) -> impl Iterator<Item = usize> {
         .map(|held| held.parameter.index())
 }
 
-/// Covariance of the estimates in units of the plausible errors, which the parameters held for lack of data have.
+/// Covariance of the estimates in units of the plausible errors. The parameters held for lack of data count as far as the rows leave them
+/// uncertain, with their plausible errors as prior knowledge; that one is held at a wrong value is not part of it.
 pub(super) fn covariance(
     square: &Square,
     scale: &[f64; PARAMETERS_MAX],

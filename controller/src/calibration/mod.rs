@@ -53,8 +53,8 @@ pub struct Estimate {
     pub old: f64,
     /// Estimated value.
     pub value: f64,
-    /// Half-width of the 95 % confidence interval around `value`. Parameters that the rows do not determine count with
-    /// their plausible errors; the turn of the base about z and the distance of the sensor along the tip do not.
+    /// Half-width of the 95 % confidence interval around `value`. Parameters that the rows do not determine count as
+    /// far as the rows leave them uncertain, at most with their plausible errors; the turn of the base about z and the distance of the sensor along the tip do not.
     pub within: f64,
 }
 

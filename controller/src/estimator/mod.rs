@@ -99,8 +99,8 @@ pub struct Estimator {
     /// Offset of the tip, if something else measures the bends.
     tip_offset: TipOffset,
     motors: ActuatorModel,
-    /// Motion under way that the newest stated rest has taken unseen \[rad\].
-    unseen_rad: f64,
+    /// Motion that the newest stated rest has taken and no measurement has shown \[rad\].
+    unshown_rad: f64,
     /// Workspace of [`Self::rested`].
     resting: ActuatorModel,
 }
@@ -118,7 +118,7 @@ impl Clone for Estimator {
             tip: self.tip.clone(),
             tip_offset: self.tip_offset.clone(),
             motors: self.motors.clone(),
-            unseen_rad: self.unseen_rad,
+            unshown_rad: self.unshown_rad,
             resting: self.resting.clone(),
         }
     }
@@ -135,7 +135,7 @@ impl Clone for Estimator {
         self.tip.clone_from(&source.tip);
         self.tip_offset.clone_from(&source.tip_offset);
         self.motors.clone_from(&source.motors);
-        self.unseen_rad = source.unseen_rad;
+        self.unshown_rad = source.unshown_rad;
     }
 }
 
@@ -153,7 +153,7 @@ impl Estimator {
             tip: TipFilter::new(TIP_NOISE_M),
             tip_offset: TipOffset::new(TIP_NOISE_M),
             motors: ActuatorModel::new(Actuator::IDEAL, configuration.section_count()),
-            unseen_rad: 0.0,
+            unshown_rad: 0.0,
             resting: ActuatorModel::new(Actuator::IDEAL, configuration.section_count()),
         }
     }
@@ -222,24 +222,28 @@ impl Estimator {
         let is_believed = match cause {
             RestCause::Silence => !is_contradicted,
             RestCause::Stated => is_shown,
-            // Together with what was taken before.
+            // Together with what was taken before: parts too small to be seen are not contradicted either.
             RestCause::GoesOn => {
-                is_shown || !is_contradicted && self.unseen_rad + unseen_rad <= UNSEEN_RAD
+                let all_rad = self.unshown_rad + norm_rad(&lost_rad);
+                is_shown || !is_contradicted && all_rad <= UNSEEN_RAD
             }
         };
         if !is_believed {
             return false;
         }
         core::mem::swap(&mut self.motors, &mut self.resting);
-        self.unseen_rad = match cause {
-            RestCause::GoesOn if !is_shown => self.unseen_rad + unseen_rad,
+        self.unshown_rad = match cause {
+            RestCause::GoesOn if !is_shown => self.unshown_rad + norm_rad(&lost_rad),
             _ => unseen_rad,
         };
         for led in self.stages.iter_mut().chain([&mut self.measured]) {
             *led = added(led, &lost_rad, -1.0);
         }
-        self.uncorrected_s = None;
-        self.forget_beside();
+        // A part that no measurement shows leaves the filters on: a statement without end would switch them off.
+        if is_visible || cause == RestCause::Silence {
+            self.uncorrected_s = None;
+            self.forget_beside();
+        }
         self.commanded = self.motors.cables_commanded(self.motors());
         true
     }
@@ -252,6 +256,7 @@ impl Estimator {
         self.forget_beside();
         self.tip.begin();
         self.tip_offset.begin();
+        self.unshown_rad = 0.0;
         self.motors.begin();
         self.commanded = self.motors.cables_commanded(&configuration);
     }
@@ -456,6 +461,10 @@ impl Estimator {
 fn distance_rad(a: &Configuration, b: &Configuration) -> f64 {
     let pairs = a.as_slice().iter().zip(b.as_slice());
     pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+}
+
+fn norm_rad(bends_rad: &[f64]) -> f64 {
+    bends_rad.iter().map(|rad| rad * rad).sum::<f64>().sqrt()
 }
 
 /// How far `at` is along the way from `from` to `to`, as a share of this way; 0 without a way.

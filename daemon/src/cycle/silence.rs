@@ -20,6 +20,8 @@ pub(super) struct SilenceWatch {
     stated_ns: [u64; 2],
     /// The newest rest whose motion the estimate has lost \[ns\].
     believed_ns: Range<u64>,
+    /// It was stated, and a measurement showed it; a silence is only not contradicted.
+    is_shown: bool,
 }
 
 /// For how long after its end a stated rest counts \[ns\]. The filters of the estimate have taken it by then.
@@ -52,6 +54,7 @@ impl SilenceWatch {
             last: None,
             stated_ns: [0; 2],
             believed_ns: 0..0,
+            is_shown: false,
         }
     }
 
@@ -76,7 +79,9 @@ impl SilenceWatch {
         let mut cause = RestCause::Stated;
         if self.believed_ns.contains(&from_ns) {
             from_ns = self.believed_ns.end;
-            cause = RestCause::GoesOn;
+            if self.is_shown {
+                cause = RestCause::GoesOn;
+            }
         }
         (from_ns < until_ns && is_recent && is_one).then_some(Rest {
             cause,
@@ -94,6 +99,7 @@ impl SilenceWatch {
             start
         };
         self.believed_ns = from_ns..end;
+        self.is_shown = rest.cause != RestCause::Silence;
     }
 
     /// If the driver was silent before a measurement, for longer than a command is valid and than 2.5 times the usual
@@ -136,6 +142,7 @@ mod tests {
             last: None,
             stated_ns: [0; 2],
             believed_ns: 0..0,
+            is_shown: false,
         }
     }
 
@@ -233,6 +240,22 @@ mod tests {
             if let Some(rest) = &rest {
                 watch.believe(rest);
             }
+        }
+    }
+
+    #[test]
+    fn only_a_rest_that_was_shown_goes_on() {
+        let mut watch = watch();
+        for (at_ms, stated_ms, cause) in [
+            (100, [60, 80], RestCause::Stated),
+            (105, [60, 104], RestCause::GoesOn),
+            (150, [140, 150], RestCause::Silence),
+            (155, [140, 155], RestCause::Stated),
+            (160, [140, 160], RestCause::GoesOn),
+        ] {
+            let rest = rest(&mut watch, at_ms, stated_ms).expect("a rest");
+            assert_eq!(rest.cause, cause, "{at_ms} ms");
+            watch.believe(&rest);
         }
     }
 }

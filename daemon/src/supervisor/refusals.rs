@@ -59,14 +59,15 @@ impl Refusals {
     }
 
     fn hint(&self, outcome: Outcome, summary: &Summary) -> String {
-        let is_tip = summary.refused_tips.newest == outcome || summary.driver_measures_tip_only;
+        let is_refused_tip = summary.refused_tips.newest == outcome;
+        let is_tip = is_refused_tip || summary.driver_measures_tip_only;
         match outcome {
             Outcome::OtherDriver if is_tip && !self.has_tip_sensor => {
                 "; a tip sensor in a process of its own needs link.tip_sensor = \"separate\""
                     .to_owned()
             }
             Outcome::TipElsewhere => contradiction(summary.refused_tips.contradiction_m),
-            Outcome::InThePast if is_tip => format!("; the tip {LATE}"),
+            Outcome::InThePast if is_refused_tip => format!("; the tip {LATE}"),
             _ => String::new(),
         }
     }
@@ -138,6 +139,8 @@ mod tests {
             news[0].1.clone()
         };
         assert_eq!(hint(&now), "", "of another message");
+        now.driver_measures_tip_only = true;
+        assert_eq!(hint(&now), "", "of a reference, beside such a driver");
         now.refused_tips.newest = Outcome::InThePast;
         for text in [hint(&now), newest_refusal(now.refused_tips)] {
             assert!(text.contains("raise that key above the delay"), "{text}");

@@ -20,6 +20,11 @@ const STEPS: usize = 60;
 /// Additional start configurations, if the solution of the previous point does not lead near enough.
 const SHAPES: u32 = 100;
 
+/// Least radius of a circle that is named \[m\].
+const CIRCLE_MIN_M: f64 = 0.01;
+/// Largest tip offset across the axis with which a circle about it is named \[m\]: it is followed to 1 mm.
+const BESIDE_AXIS_M: f64 = 2e-4;
+
 /// Fails at the first point that the tip misses by more than `allowed_m` with any bends; `record` has the
 /// robot and its tip offset.
 pub(crate) fn check(
@@ -52,7 +57,7 @@ pub(crate) fn check(
                 1e3 * allowed_m,
                 limit(&robot, &found),
                 doubt(record, left_m - allowed_m),
-                surface(&robot, &(robot.tip_position(&found) + offset_m))
+                surface(&robot, &robot.tip_position(&found), &offset_m)
             );
         }
         shape = found;
@@ -89,7 +94,8 @@ pub(crate) fn check_point(
             doubt(record, left_m - allowed_m),
             surface(
                 &robot,
-                &(robot.tip_position(&found) + Vector3::from(record.tip_offset_m))
+                &robot.tip_position(&found),
+                &Vector3::from(record.tip_offset_m)
             )
         );
     }
@@ -98,16 +104,22 @@ pub(crate) fn check_point(
     Ok(())
 }
 
-/// What a robot of one section reaches instead, at and around the `nearest` point.
-fn surface(robot: &Robot, nearest_m: &Vector3<f64>) -> String {
+/// What a robot of one section reaches instead, at and around the model's tip `nearest_m`. A circle about the axis is named where it is not
+/// a point, and lies on the surface in spite of the offset.
+fn surface(robot: &Robot, nearest_m: &Vector3<f64>, offset_m: &Vector3<f64>) -> String {
     if robot.section_count() > 1 {
         return String::new();
     }
-    let [x, y, z] = (*nearest_m).into();
+    let [x, y, z] = (nearest_m + offset_m).into();
     let radius_m = x.hypot(y);
+    let point = format!(
+        ". The tip of one section is on a surface, at one height for each distance from the axis. The nearest point is ({x:.4}, {y:.4}, {z:.4}) m"
+    );
+    if radius_m < CIRCLE_MIN_M || offset_m.xy().norm() > BESIDE_AXIS_M {
+        return point;
+    }
     format!(
-        ". The tip of one section is on a surface, at one height for each distance from the axis. The nearest point is ({x:.4}, {y:.4}, {z:.4}) m. \
-         References on the surface: cdcrctl ref spiral, and circles about the axis such as cdcrctl ref circle --radius {radius_m:.4} --height {z:.4}"
+        "{point}. References on the surface: cdcrctl ref spiral, and circles about the axis such as cdcrctl ref circle --radius {radius_m:.4} --height {z:.4}"
     )
 }
 
@@ -288,7 +300,7 @@ mod tests {
             let straight = Configuration::straight(1);
             let (found, left_m) = nearest(&robot, &straight, &point_m.into(), 1e-3);
             assert!(left_m > 1e-3, "{left_m}");
-            let text = surface(&robot, &robot.tip_position(&found));
+            let text = surface(&robot, &robot.tip_position(&found), &Vector3::zeros());
             let number = |name: &str| -> f64 {
                 let (_, rest) = text.split_once(name).expect(name);
                 let word = rest.split_whitespace().next().expect("a number");
@@ -302,8 +314,15 @@ mod tests {
                 assert!(left_m < 1e-3, "{text}: {left_m}");
             }
         }
+        let above_m = Vector3::new(0.0, 0.0, 0.3);
+        for (beside_axis_m, offset_m) in [(0.0, 0.0), (0.1, 2e-3)] {
+            let nearest_m = above_m + Vector3::x() * beside_axis_m;
+            let text = surface(&robot, &nearest_m, &(Vector3::y() * offset_m));
+            assert!(text.contains("nearest point"), "{text}");
+            assert!(!text.contains("--radius"), "it would be refused: {text}");
+        }
         let two = Robot::new(&RobotParameters::paper(2)).expect("the paper's");
-        assert_eq!(surface(&two, &Vector3::zeros()), "");
+        assert_eq!(surface(&two, &Vector3::zeros(), &Vector3::zeros()), "");
     }
 
     #[test]

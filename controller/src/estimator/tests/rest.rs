@@ -133,6 +133,35 @@ fn a_rest_that_was_shown_goes_on_as_stated_up_to_a_bounded_motion() {
     assert!(!rests(&mut estimator, AGE_S, new_s, GoesOn), "0.12 rad");
 }
 
+/// A driver states its last rest without end, at a speed at which no part of a period is seen, and its motors obey.
+#[test]
+fn a_rest_that_is_stated_without_end_leaves_the_filters_on() {
+    const SLOW_RAD_S: f64 = 0.3;
+    const NOISE_RAD: f64 = 3e-3;
+    let rates = BendRates::from_slice(&[SLOW_RAD_S, 0.0]).unwrap();
+    let mut estimator = Estimator::new(Configuration::straight(1)).with_time_constant(0.18);
+    let robot = robot(1);
+    let mut at = [0.0; 3];
+    let mut largest_jump_rad = 0.0_f64;
+    for cycle in 1..=400 {
+        estimator.predict(&rates, PERIOD_S);
+        let truth_rad = SLOW_RAD_S * PERIOD_S * f64::from(cycle);
+        let noise_rad = NOISE_RAD * if cycle % 2 == 0 { 1.0 } else { -1.0 };
+        let place = Configuration::from_slice(&[truth_rad + noise_rad, 0.0]).unwrap();
+        let measured = Measurement::Configuration(place);
+        estimator.rested(&robot, &measured, 0.0, &(0.0..PERIOD_S), GoesOn);
+        estimator.correct(&robot, &measured, 0.0);
+        at = [at[1], at[2], estimator.motors().as_slice()[0]];
+        if cycle > 3 {
+            largest_jump_rad = largest_jump_rad.max((at[2] - 2.0 * at[1] + at[0]).abs());
+        }
+        let behind_rad = truth_rad - at[2];
+        assert!(behind_rad < UNSEEN_RAD + NOISE_RAD, "{behind_rad} rad");
+    }
+    // Of the noise alone, unfiltered: four times as much.
+    assert!(largest_jump_rad < NOISE_RAD, "{largest_jump_rad} rad");
+}
+
 /// Motors behind a driver, in steps of a millisecond.
 struct Motors {
     actuator: Actuator,

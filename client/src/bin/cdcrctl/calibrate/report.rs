@@ -121,11 +121,11 @@ fn is_estimated(found: &Calibration, parameter: Parameter) -> bool {
     found.held.iter().all(|held| held.parameter != parameter)
 }
 
-/// True if some zero of this section is estimated.
+/// True if the zeros of this section are estimated: those of its cables are sums of both.
 fn has_zeros(found: &Calibration, section: usize) -> bool {
     [0, 1]
         .into_iter()
-        .any(|a| is_estimated(found, Parameter::CableZero(section, a)))
+        .all(|a| is_estimated(found, Parameter::CableZero(section, a)))
 }
 
 /// Evaluation of the result.
@@ -263,7 +263,10 @@ pub(super) fn json(robot: &RobotParameters, recording: &Recording, found: &Calib
             "within_95": estimate.within,
         })
     };
-    let zeros = found.cable_zeros.iter().flatten();
+    let sections = found.cable_zeros.iter().enumerate();
+    let zeros = sections.flat_map(|(section, zeros)| {
+        zeros.map(|zero| Some(zero).filter(|_| has_zeros(found, section)))
+    });
     let held = found.held.iter().map(
         |held| json!({ "parameter": held.parameter.to_string(), "why": held.why.to_string() }),
     );
@@ -273,7 +276,7 @@ pub(super) fn json(robot: &RobotParameters, recording: &Recording, found: &Calib
         "play_m": recording.play_m,
         "estimates": found.estimates.iter().map(estimate).collect::<Vec<_>>(),
         "cable_zeros": zeros
-            .map(|(zero_m, within_m)| json!({ "found_m": zero_m, "within_95_m": within_m }))
+            .map(|zero| zero.map(|(zero_m, within_m)| json!({ "found_m": zero_m, "within_95_m": within_m })))
             .collect::<Vec<_>>(),
         "held": held.collect::<Vec<_>>(),
         "tip_error": {
