@@ -12,6 +12,9 @@ const JOINING_ACCELERATION_PEAK: f64 = 3.941;
 /// Peak distance of the same quintic, relative to speed · duration.
 const JOINING_DISTANCE_PEAK: f64 = 0.1976;
 
+/// Largest deviation while joining a reference from rest, as a share of the robot's length ([`ApproachLimits::excursion_m`]).
+pub const EXCURSION_SHARE: f64 = 0.02;
+
 /// Limits of an approach.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ApproachLimits {

@@ -14,7 +14,9 @@ mod interpolation;
 mod trajectory;
 mod window;
 
-pub use approach::{Approach, ApproachLimits, QUINTIC_ACCELERATION_PEAK, QUINTIC_SPEED_PEAK};
+pub use approach::{
+    Approach, ApproachLimits, EXCURSION_SHARE, QUINTIC_ACCELERATION_PEAK, QUINTIC_SPEED_PEAK,
+};
 pub use followed::{Followed, FollowedReference, GridPoint};
 pub use trajectory::{POINT_SPACING_MIN_NS, Trajectory, TrajectoryError};
 pub use window::{HORIZON_STEPS_MAX, ReferenceWindow};

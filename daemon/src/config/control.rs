@@ -1,7 +1,7 @@
 //! Control of the robot: actuators, estimate, period, motions, faults, obstacles, reference.
 
 use cdcr_controller::estimator::Actuator;
-use cdcr_controller::reference::ApproachLimits;
+use cdcr_controller::reference::{ApproachLimits, EXCURSION_SHARE};
 use serde::{Deserialize, Serialize};
 
 use super::{LinkKind, ns};
@@ -168,7 +168,7 @@ impl MotionConfig {
         (!is_direct).then_some(ApproachLimits {
             speed_m_s: self.approach_speed_m_s,
             acceleration_m_s2: self.approach_acceleration_m_s2,
-            excursion_m: 0.02 * reach_m,
+            excursion_m: EXCURSION_SHARE * reach_m,
             turn_rad_s: self.home_rate_rad_s,
         })
     }

@@ -73,6 +73,17 @@ fn noise_beside_an_obstacle_is_no_contact() {
     }
 }
 
+/// Beside a ball, motors of speeds with this time constant, as configured.
+fn beside_a_ball_with_lag(lag_ms: f64) -> (Trial, Obstacle) {
+    let actuator = Actuator {
+        delay_s: 0.01,
+        time_constant_s: lag_ms * 1e-3,
+        play_m: 0.0,
+    };
+    let known = format!("[actuator]\ndelay_ms = 10.0\ntime_constant_ms = {lag_ms:?}\n");
+    beside_a_ball(Interface::Velocity, actuator, &known)
+}
+
 /// The least true clearance \[m\] beside a ball, and the turn of a contact fault, behind a driver with `lag_ms` that in the last
 /// `faulty` of `every` turns may not measure, or not get the commands: its motors of speeds then rest when the last one has run out.
 fn beside_a_ball_with_faults(
@@ -80,13 +91,7 @@ fn beside_a_ball_with_faults(
     (lag_ms, faulty, every): (f64, u32, u32),
     statements: Statements,
 ) -> (f64, Option<u32>) {
-    let actuator = Actuator {
-        delay_s: 0.01,
-        time_constant_s: lag_ms * 1e-3,
-        play_m: 0.0,
-    };
-    let known = format!("[actuator]\ndelay_ms = 10.0\ntime_constant_ms = {lag_ms:?}\n");
-    let (mut trial, ball) = beside_a_ball(Interface::Velocity, actuator, &known);
+    let (mut trial, ball) = beside_a_ball_with_lag(lag_ms);
     trial.statements = statements;
     let (mut least_m, mut latched) = (f64::INFINITY, None);
     for turn in 0..2000 {

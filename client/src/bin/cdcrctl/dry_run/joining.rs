@@ -1,7 +1,7 @@
 //! How the tip joins a reference that begins in motion.
 
 use cdcr_controller::reference::{
-    Approach, ApproachLimits, Orientation, ReferenceSample, Trajectory,
+    Approach, ApproachLimits, EXCURSION_SHARE, Orientation, ReferenceSample, Trajectory,
 };
 use cdcr_controller::robot::Pose;
 use nalgebra::{Matrix3, Vector3};
@@ -11,15 +11,13 @@ use nalgebra::{Matrix3, Vector3};
 const SPEED_M_S: f64 = 0.1;
 const ACCELERATION_M_S2: f64 = 0.5;
 const TURN_RAD_S: f64 = 0.5;
-/// Largest deviation while joining, as a share of the robot's length.
-const EXCURSION: f64 = 0.02;
 
 /// The approach from rest at the first of the `points` to their motion; none where it does not end before they do.
 pub(super) fn joining(points: &Trajectory, period_ns: u64, reach_m: f64) -> Approach {
     let limits = ApproachLimits {
         speed_m_s: SPEED_M_S,
         acceleration_m_s2: ACCELERATION_M_S2,
-        excursion_m: EXCURSION * reach_m,
+        excursion_m: EXCURSION_SHARE * reach_m,
         turn_rad_s: TURN_RAD_S,
     };
     let [first, second] = [0, period_ns].map(|time_ns| points.sample(time_ns));
@@ -40,5 +38,24 @@ pub(super) fn joining(points: &Trajectory, period_ns: u64, reach_m: f64) -> Appr
         joining
     } else {
         Approach::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_limits_are_the_defaults_of_the_daemon() {
+        const DEFAULTS: &str = include_str!("../../../../../configs/default.toml");
+        let defaults: toml_edit::DocumentMut = DEFAULTS.parse().expect("TOML");
+        for (key, value) in [
+            ("approach_speed_m_s", SPEED_M_S),
+            ("approach_acceleration_m_s2", ACCELERATION_M_S2),
+            ("home_rate_rad_s", TURN_RAD_S),
+        ] {
+            let default = defaults["motion"][key].as_float();
+            assert_eq!(default, Some(value), "{key}");
+        }
     }
 }

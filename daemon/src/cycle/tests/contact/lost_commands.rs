@@ -1,10 +1,7 @@
 //! A driver of speeds that goes on measuring and loses commands at any time of its approach to an obstacle, in lockstep.
 
-use cdcr_controller::estimator::Actuator;
-
 use super::super::trial::losing::{LosingDriver, Losses};
-use super::beside_a_ball;
-use crate::config::Interface;
+use super::beside_a_ball_with_lag;
 
 /// Turns until the tip has passed the ball, which it does 5.3 s after the beginning.
 const TURNS: u32 = 1200;
@@ -14,13 +11,7 @@ const LEAST_M: f64 = 5e-3;
 
 /// The least true clearance \[m\] of motors with this time constant behind a driver that takes commands this late \[ms\], and the turn of a contact fault.
 fn beside_a_ball_with_losses(losses: Losses, late_ms: u64, lag_ms: f64) -> (f64, Option<u32>) {
-    let actuator = Actuator {
-        delay_s: 0.01,
-        time_constant_s: lag_ms * 1e-3,
-        play_m: 0.0,
-    };
-    let known = format!("[actuator]\ndelay_ms = 10.0\ntime_constant_ms = {lag_ms:?}\n");
-    let (mut trial, ball) = beside_a_ball(Interface::Velocity, actuator, &known);
+    let (mut trial, ball) = beside_a_ball_with_lag(lag_ms);
     let mut driver = LosingDriver::new(losses, late_ms);
     let mut turns = 0..TURNS;
     let latched = turns.find(|_| trial.turn_losing(&mut driver, &ball).mode.is_latched());
