@@ -14,7 +14,7 @@ use rustix::fs::{XattrFlags, getxattr, setxattr};
 use rustix::process::Signal;
 
 use super::stranger::{
-    EXIT_ROOT, NOBODY, attempts, files_below, have_a_stranger, in_view, of_stranger, open_to_all,
+    EXIT_ROOT, NOBODY, attempts, have_a_stranger, in_view, of_stranger, open_to_all, paths_below,
     stranger,
 };
 
@@ -114,7 +114,7 @@ impl Shared {
             path.symlink_metadata()
                 .is_ok_and(|file| file.uid() == NOBODY)
         };
-        files_below(&self.root)
+        paths_below(&self.root)
             .into_iter()
             .filter(is_theirs)
             .collect()
@@ -146,7 +146,7 @@ fn a_member_of_the_group_observes_feeds_and_commands_and_no_other_does() {
     // Root could be led out of the folder, too.
     let refusal = shared.cdcrctl(GROUP, "status").uid(0).output().unwrap();
     assert_output(&refusal, 1, &["belongs to user 64320"]);
-    let files = files_below(&shared.root);
+    let files = paths_below(&shared.root);
     assert!(files.len() > 20, "{}", files.len());
     assert_eq!(attempts(&files, NOBODY), Vec::<String>::new());
     daemon.signal(Signal::TERM);
@@ -225,7 +225,7 @@ fn who_may_use_a_folder_does_not_change_under_a_daemon() {
         assert_eq!(fs::metadata(&shared.root).unwrap().mode(), mode);
         if first.is_empty() {
             assert_eq!(
-                attempts(&files_below(&shared.root), GROUP),
+                attempts(&paths_below(&shared.root), GROUP),
                 Vec::<String>::new()
             );
         }
@@ -240,7 +240,7 @@ fn who_may_use_a_folder_does_not_change_under_a_daemon() {
 fn a_list_that_somebody_changed_is_set_back() {
     let Some(shared) = Shared::new() else { return };
     let daemon = shared.started();
-    let files = files_below(&shared.root);
+    let files = paths_below(&shared.root);
     let mut list = [0; 64];
     let length = getxattr(&shared.root, LIST, &mut list).unwrap();
     // Another group in place of the robot's, with the same mode.

@@ -19,8 +19,8 @@ use rustix::process::{Signal, Uid};
 use rustix::thread::set_thread_res_uid;
 
 use super::stranger::{
-    EXIT_ROOT, NOBODY, attempts, everything, files_below, folder_of_stranger, have_a_stranger,
-    in_view, start, stranger,
+    EXIT_ROOT, NOBODY, attempts, everything, folder_of_stranger, have_a_stranger, in_view,
+    paths_below, start, stranger,
 };
 
 #[test]
@@ -46,7 +46,7 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     assert_eq!(fs::metadata(root).unwrap().mode() & 0o777, 0o777);
     let words = "every user can write to the root path";
     place.checked("cdcrctl status", 1, &[words]);
-    assert_eq!(files_below(root), BTreeSet::new());
+    assert_eq!(paths_below(root), BTreeSet::new());
     // A link of the other user to a folder of this user.
     let ours = root.with_file_name(format!("{}ours", place.location().prefix()));
     fs::rename(root, &ours).unwrap();
@@ -55,12 +55,12 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     lchown(root, Some(NOBODY), Some(NOBODY)).unwrap();
     let link = "symbolic link that belongs to user id 65534, not to 0";
     place.checked("cdcrd run", EXIT_ROOT, &[link, remedy]);
-    assert_eq!(files_below(&ours), BTreeSet::new());
+    assert_eq!(paths_below(&ours), BTreeSet::new());
     // A link of this user to a folder of the other user.
     lchown(root, Some(0), Some(0)).unwrap();
     chown(&ours, Some(NOBODY), Some(NOBODY)).unwrap();
     place.checked("cdcrd run", EXIT_ROOT, &[foreign, remedy]);
-    assert_eq!(files_below(&ours), BTreeSet::new());
+    assert_eq!(paths_below(&ours), BTreeSet::new());
     fs::remove_file(root).unwrap();
     fs::remove_dir(&ours).unwrap();
 }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, Permissions};
+use std::io::ErrorKind;
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -76,20 +77,25 @@ pub(super) fn of_stranger(program: &Path, prefix: &str, root: &Path) -> Command 
     command
 }
 
-pub(super) fn files_below(folder: &Path) -> BTreeSet<PathBuf> {
-    let mut files = BTreeSet::new();
-    for entry in fs::read_dir(folder).unwrap().flatten() {
-        if entry.file_type().unwrap().is_dir() {
-            files.extend(files_below(&entry.path()));
+/// Every file and folder below a folder. Running programs may remove them meanwhile: then they are left out.
+pub(super) fn paths_below(folder: &Path) -> BTreeSet<PathBuf> {
+    let mut paths = BTreeSet::new();
+    let entries = match fs::read_dir(folder) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return paths,
+        entries => entries.unwrap(),
+    };
+    for path in entries.flatten().map(|entry| entry.path()) {
+        if fs::symlink_metadata(&path).is_ok_and(|file| file.is_dir()) {
+            paths.extend(paths_below(&path));
         }
-        files.insert(entry.path());
+        paths.insert(path);
     }
-    files
+    paths
 }
 
 /// Every file and folder of the daemon.
 pub(super) fn everything(place: &Place) -> BTreeSet<PathBuf> {
-    let mut files = files_below(place.location().root());
+    let mut files = paths_below(place.location().root());
     files.insert(place.location().root().to_owned());
     files
 }
