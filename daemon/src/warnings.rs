@@ -16,6 +16,8 @@ const PLAY_SHARE_MAX: f64 = 0.1;
 const CABLE_SPEED_SHARE_MIN: f64 = 0.02;
 /// Largest tolerance of home that is taken to be meant \[rad\].
 const HOME_RAD_MAX: f64 = 0.1;
+/// Fastest tip while homing that is taken to be meant \[m/s\].
+const HOME_M_S_MAX: f64 = 1.0;
 /// Smallest stroke that is taken to be meant, as a share of what full bends need.
 const STROKE_SHARE_MIN: f64 = 0.7;
 /// Longest validity of a command that is taken to be meant \[ms\].
@@ -80,6 +82,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
             "link.tip_sensor = \"separate\" has no effect: the simulated robot accepts no measurements".to_owned()
         }),
         of_rate_weight(config),
+        home_speed(config),
         source_timeout(config),
         (reference.lease_ms < period_ms).then(|| {
             format!(
@@ -128,9 +131,7 @@ fn of_units(config: &Config) -> Vec<String> {
     let is_short = |ms: f64| ms > 0.0 && ms < 0.5_f64.min(0.1 * config.cycle.period_ms);
     let full_m = config.robot.full_stroke_m();
     let stroke_m = config.robot.cable_stroke_max_m;
-    let sections = config.robot.sections.iter();
-    let bends_m = sections.map(|section| section.cable_radius_m * section.bend_max_rad);
-    let bend_m = bends_m.fold(f64::INFINITY, f64::min);
+    let bend_m = least_stroke_m(&config.robot.sections);
     // Upper bound: all components at their largest rates, in the direction of one cable.
     let sections = config.robot.sections.iter();
     let speeds_m_s = sections.map(|section| section.cable_radius_m * section.rate_max_rad_s);
@@ -170,6 +171,14 @@ fn of_units(config: &Config) -> Vec<String> {
     .into_iter()
     .filter_map(|(is_suspicious, text)| is_suspicious.then_some(text))
     .collect()
+}
+
+/// Motion of a cable of one section at full bend, of the section in which it is least \[m\].
+fn least_stroke_m(sections: &[SectionParameters]) -> f64 {
+    let strokes_m = sections
+        .iter()
+        .map(|section| section.cable_radius_m * section.bend_max_rad);
+    strokes_m.fold(f64::INFINITY, f64::min)
 }
 
 /// Limits with which the robot hardly moves, or not where it is asked to.
@@ -222,6 +231,7 @@ fn of_checks(config: &Config) -> Vec<String> {
         .iter()
         .map(|s| s.rate_max_rad_s)
         .fold(0.0, f64::max);
+    let bend_m = least_stroke_m(sections);
     let unmeasured_rad = fastest_rad_s * link.measurement_timeout_ms * 1e-3;
     let of_bends = [
         ("following_fault_rad", safety.following_fault_rad),
@@ -258,6 +268,13 @@ fn of_checks(config: &Config) -> Vec<String> {
         }),
         (safety.cable_common_m == 0.0).then(|| {
             "safety.cable_common_m = 0: where cable lengths are measured, a broken or slack cable is no fault".to_owned()
+        }),
+        (safety.cable_common_m > bend_m).then(|| {
+            format!(
+                "safety.cable_common_m = {}: a cable of a section moves by {bend_m:.4} m at its full bend, so that a broken or slack cable \
+                 is no fault where cable lengths are measured; in another unit?",
+                safety.cable_common_m
+            )
         }),
         (link.interface == Interface::Position && link.measurement_timeout_ms > HANG_MS_MAX).then(|| {
             format!(
@@ -300,22 +317,54 @@ fn of_section(j: usize, section: &SectionParameters) -> Vec<String> {
     warnings.into_iter().flatten().collect()
 }
 
+/// Upper bound of the speed of the tip where every component of a section has at most this rate \[m/s\]: a
+/// section moves its own end by half its length for each rad, and turns everything beyond.
+fn tip_speed_max_m_s(
+    sections: &[SectionParameters],
+    rate_rad_s: impl Fn(&SectionParameters) -> f64,
+) -> f64 {
+    let (mut most_m_s, mut beyond_m) = (0.0, 0.0);
+    for section in sections.iter().rev() {
+        let lever_m = 0.5 * section.length_m + beyond_m;
+        most_m_s += core::f64::consts::SQRT_2 * rate_rad_s(section) * lever_m;
+        beyond_m += section.length_m;
+    }
+    most_m_s
+}
+
+/// A tip that homes faster than people expect of a motion home.
+fn home_speed(config: &Config) -> Option<String> {
+    let (rate_rad_s, limit_m_s) = (
+        config.motion.home_rate_rad_s,
+        config.robot.tip_speed_max_m_s,
+    );
+    let sections = &config.robot.sections;
+    let most_m_s = tip_speed_max_m_s(sections, |section| rate_rad_s.min(section.rate_max_rad_s));
+    let is_limited = limit_m_s > 0.0 && limit_m_s <= HOME_M_S_MAX;
+    // A rate beyond the largest of a section has a warning of its own.
+    let is_rate = sections
+        .iter()
+        .any(|section| rate_rad_s <= section.rate_max_rad_s);
+    (most_m_s > HOME_M_S_MAX && is_rate && !is_limited).then(|| {
+        format!(
+            "motion.home_rate_rad_s = {rate_rad_s}: home moves the tip of this robot at up to {most_m_s:.1} m/s; lower it, or set \
+             robot.tip_speed_max_m_s"
+        )
+    })
+}
+
 /// A speed limit of the section ends that never acts, or always.
 fn tip_speed(config: &Config) -> [Option<String>; 3] {
     let (motion, limit_m_s) = (&config.motion, config.robot.tip_speed_max_m_s);
     if limit_m_s == 0.0 {
         return [const { None }; 3];
     }
-    // Upper bound: a section moves its own end by half its length for each rad, and turns everything beyond.
-    let (mut most_m_s, mut beyond_m) = (0.0, 0.0);
-    for section in config.robot.sections.iter().rev() {
-        let lever_m = 0.5 * section.length_m + beyond_m;
-        most_m_s += core::f64::consts::SQRT_2 * section.rate_max_rad_s * lever_m;
-        beyond_m += section.length_m;
-    }
+    let sections = &config.robot.sections;
+    let most_m_s = tip_speed_max_m_s(sections, |section| section.rate_max_rad_s);
+    let length_m = sections.iter().map(|section| section.length_m).sum();
     let last = config.robot.sections.last();
     let homing_m_s = last.map_or(0.0, |last| 0.5 * last.length_m * motion.home_rate_rad_s);
-    let approach = motion.approach_limits(config.link.is_ideal(), beyond_m);
+    let approach = motion.approach_limits(config.link.is_ideal(), length_m);
     let key = "robot.tip_speed_max_m_s";
     [
         (limit_m_s > most_m_s).then(|| {

@@ -353,13 +353,18 @@ fn a_client_in_another_time_namespace_gets_an_error_and_can_stop_the_robot() {
             );
         }
     }
-    let reported = [
-        "another time namespace",
-        "differs by -1000 s",
-        "cdcrctl stop",
-    ];
+    // Only root shares the daemon's user namespace here, and sees its clock.
+    let reported: &[&str] = if rustix::process::geteuid().is_root() {
+        &[
+            "another time namespace",
+            "differs by -1000 s",
+            "cdcrctl stop",
+        ]
+    } else {
+        &["has sent no status for 1 s", "cdcrctl stop"]
+    };
     for line in ["status", "hold", "ref line --track", "plant"] {
-        assert_output(&client(line).unwrap(), 1, &reported);
+        assert_output(&client(line).unwrap(), 1, reported);
     }
     assert_output(&client("stop").unwrap(), 0, &["the daemon is stopped"]);
 }
