@@ -14,13 +14,12 @@ use crate::sender::Sender;
 use crate::services::{Services, check_clock, check_owner};
 use crate::status_reader::{STATUS_FRESH, StatusReader};
 use crate::{
-    CommandStream, ConnectError, Driver, FeedError, FeedOptions, Feeder, Lease, LinkError,
-    ObstacleSender, ReferenceFeed, RequestError, Stream, TelemetryStream, TipSensor, Trajectory,
-    monotonic_ns,
+    CommandStream, ConnectError, Driver, LinkError, ObstacleSender, ReferenceFeed, RequestError,
+    Stream, TelemetryStream, TipSensor, monotonic_ns,
 };
 
 /// Timeout of a request; a daemon answers within a few cycles of 5 ms.
-const REQUEST_TIMEOUT: Duration = Duration::from_secs(1);
+pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// An open connection to one daemon.
 ///
@@ -33,8 +32,8 @@ const REQUEST_TIMEOUT: Duration = Duration::from_secs(1);
 /// A connection outlives its daemon, however the daemon ended. When another daemon starts at the same place,
 /// streams, requests, [`Driver`] and [`ObstacleSender`] continue with it. State that the old daemon kept for
 /// its clients is lost: the obstacles, the reference and the lease. The lease holder gets
-/// [`RequestError::Restarted`] or [`FeedError::Restarted`] and may acquire or feed again. `header.sender_id`
-/// identifies a daemon.
+/// [`RequestError::Restarted`] or [`FeedError::Restarted`](crate::FeedError::Restarted) and may acquire or feed
+/// again. `header.sender_id` identifies a daemon.
 #[derive(Debug)]
 pub struct Connection {
     place: Place,
@@ -215,34 +214,6 @@ impl Connection {
         };
         self.control
             .request(RequestKind::Settings, content, REQUEST_TIMEOUT)
-    }
-
-    /// Acquires the lease: the right to send references until it is dropped.
-    ///
-    /// # Errors
-    /// When another client holds it.
-    pub fn acquire_lease(&self) -> Result<Lease<'_>, RequestError> {
-        self.acquire_lease_within(REQUEST_TIMEOUT)
-    }
-
-    /// Like [`acquire_lease`](Self::acquire_lease), waiting at most `timeout` for the daemon's answer.
-    ///
-    /// # Errors
-    /// As [`acquire_lease`](Self::acquire_lease).
-    pub fn acquire_lease_within(&self, timeout: Duration) -> Result<Lease<'_>, RequestError> {
-        Lease::acquire(self, timeout)
-    }
-
-    /// Prepares to stream `trajectory` to the daemon ahead of time; see [`Feeder::run`].
-    ///
-    /// # Errors
-    /// When the options are out of range, or the lease or a port is not available.
-    pub fn feed<'c>(
-        &'c self,
-        trajectory: &'c dyn Trajectory,
-        options: FeedOptions,
-    ) -> Result<Feeder<'c>, FeedError> {
-        Feeder::open(self, trajectory, options)
     }
 
     /// A port that sends single reference chunks. [`feed`](Self::feed) is simpler to use.

@@ -4,6 +4,7 @@ use std::time::Duration;
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_shared_types::{Header, Response};
 
+use crate::connection::REQUEST_TIMEOUT;
 use crate::{Connection, RequestError, monotonic_ns};
 
 /// Timeout of the request that ends a lease: enough for many cycles, short for a person.
@@ -38,6 +39,24 @@ impl Grant {
     /// Whether the daemon that granted the lease sent a message with this header.
     pub(crate) fn is_from(&self, header: &Header) -> bool {
         header.sender_id == self.daemon_id
+    }
+}
+
+impl Connection {
+    /// Acquires the lease: the right to send references until it is dropped.
+    ///
+    /// # Errors
+    /// When another client holds it.
+    pub fn acquire_lease(&self) -> Result<Lease<'_>, RequestError> {
+        self.acquire_lease_within(REQUEST_TIMEOUT)
+    }
+
+    /// Like [`acquire_lease`](Self::acquire_lease), waiting at most `timeout` for the daemon's answer.
+    ///
+    /// # Errors
+    /// As [`acquire_lease`](Self::acquire_lease).
+    pub fn acquire_lease_within(&self, timeout: Duration) -> Result<Lease<'_>, RequestError> {
+        Lease::acquire(self, timeout)
     }
 }
 

@@ -103,6 +103,20 @@ pub struct Feeder<'c> {
     telemetry: TelemetryStream,
 }
 
+impl Connection {
+    /// Prepares to stream `trajectory` to the daemon ahead of time; see [`Feeder::run`].
+    ///
+    /// # Errors
+    /// When the options are out of range, or the lease or a port is not available.
+    pub fn feed<'c>(
+        &'c self,
+        trajectory: &'c dyn Trajectory,
+        options: FeedOptions,
+    ) -> Result<Feeder<'c>, FeedError> {
+        Feeder::open(self, trajectory, options)
+    }
+}
+
 impl<'c> Feeder<'c> {
     pub(crate) fn open(
         connection: &'c Connection,

@@ -174,10 +174,34 @@ fn graph(source: &str) -> BTreeMap<String, BTreeSet<String>> {
         }
     }
     let modules: BTreeSet<_> = graph.keys().cloned().collect();
+    let exports = exports(&["lib.rs", "main.rs"].map(|file| root.join(file)));
     for (module, imports) in &mut graph {
-        imports.retain(|name| name != module && modules.contains(name));
+        let named = std::mem::take(imports).into_iter();
+        *imports = named
+            .map(|name| exports.get(&name).cloned().unwrap_or(name))
+            .filter(|name| name != module && modules.contains(name))
+            .collect();
     }
     graph
+}
+
+/// The names that the root of a crate re-exports, each with its module.
+fn exports(roots: &[PathBuf]) -> BTreeMap<String, String> {
+    let roots = roots.iter().filter(|file| file.exists());
+    roots.flat_map(|file| re_exports(&code(file))).collect()
+}
+
+/// Each name that a root declares by `use module::name`, with its module.
+fn re_exports(code: &str) -> Vec<(String, String)> {
+    let is_part = |c: char| c.is_alphanumeric() || c == '_';
+    let statements = code.split(';').filter_map(|text| text.split_once("use "));
+    let paths = statements.filter_map(|(_, path)| path.split_once("::"));
+    paths
+        .flat_map(|(module, names)| {
+            let names = names.split(|c| !is_part(c)).filter(|name| !name.is_empty());
+            names.map(|name| (name.to_owned(), module.to_owned()))
+        })
+        .collect()
 }
 
 /// The rest after repeatedly removing every module without imports: empty without a circle.
@@ -262,6 +286,22 @@ fn every_way_to_name_a_module_is_seen() {
     assert_eq!(
         module_of(Path::new("a/mod.rs")),
         module_of(Path::new("a.rs"))
+    );
+    let code = "mod one;\npub use one::A;\npub(crate) use two::{B, b};\n#[cfg(x)]\npub use three::part::{C,\n    c,\n};";
+    let exports: Vec<_> = re_exports(code)
+        .into_iter()
+        .map(|(name, module)| format!("{module} {name}"))
+        .collect();
+    assert_eq!(
+        exports,
+        [
+            "one A",
+            "two B",
+            "two b",
+            "three part",
+            "three C",
+            "three c"
+        ]
     );
 }
 
