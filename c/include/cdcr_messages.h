@@ -198,7 +198,7 @@ typedef enum CdcrOutcome {
     CDCR_OUTCOME_ENDING = 21, /* the daemon is shutting down */
     CDCR_OUTCOME_WRONG_INTERFACE = 22, /* the driver's interface differs from the configuration (link.interface) */
     CDCR_OUTCOME_OTHER_DRIVER = 23, /* another driver controls the robot */
-    CDCR_OUTCOME_WAITS = 24, /* the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale */
+    CDCR_OUTCOME_WAITS = 24, /* the robot waits: the inputs are stale, a source of obstacles is silent (obstacles.source_timeout_ms), or the commanded position moves to the robot after a reset */
     CDCR_OUTCOME_TOO_FAR = 25, /* the reference is farther from the tip than motion.approach_distance_m */
     CDCR_OUTCOME_CABLE_MEAN = 26, /* the mean length of a section's cables is not that of its backbone */
     CDCR_OUTCOME_IN_THE_FUTURE = 27, /* a time is in the future */

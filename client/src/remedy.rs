@@ -58,7 +58,9 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         }
         Outcome::PoseDiffers => ACCEPT_POSE,
         Outcome::Waits => {
-            "Restart the program that sends the obstacles, or remove them all: cdcrctl obstacle clear."
+            "See cdcrctl status. While a source of obstacles is silent, restart that program, or remove all obstacles: cdcrctl obstacle clear. After a reset, wait until the robot \
+             rests; where it does not move, an obstacle or a limit is in the way: cdcrctl stop, move the obstacle or the robot, cdcrctl reset. Otherwise repeat the request; \
+             where inputs are stale again, see cdcrctl incidents."
         }
         Outcome::TooFar => {
             "Bring the tip nearer first, with cdcrctl goto or home, or set motion.approach to \"smooth\"."

@@ -296,7 +296,7 @@ wire_enum! {
         WrongInterface = 22: "the driver's interface differs from the configuration (link.interface)",
         OtherDriver = 23: "another driver controls the robot",
         /// The robot waits without a fault; the request may be repeated.
-        Waits = 24: "the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale",
+        Waits = 24: "the robot waits: the inputs are stale, a source of obstacles is silent (obstacles.source_timeout_ms), or the commanded position moves to the robot after a reset",
         TooFar = 25: "the reference is farther from the tip than motion.approach_distance_m",
         /// More than a tenth of the backbone: no stroke of a bend changes the mean.
         CableMean = 26: "the mean length of a section's cables is not that of its backbone",
