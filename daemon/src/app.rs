@@ -27,7 +27,7 @@ use crate::handover::{
 use crate::instance::Instance;
 use crate::kept_obstacles::KeptObstacles;
 use crate::latch::Latch;
-use crate::link::RobotLink;
+use crate::link::CycleRobot;
 use crate::reload::{ReadConfig, Reload};
 use crate::reporter::Reporter;
 use crate::rt::clock::Clock;
@@ -257,7 +257,7 @@ fn make_cycle(validated: &Validated, clock: &impl Clock) -> Result<Cycle> {
         );
         KERNEL_SHARE
     });
-    let link = RobotLink::new(validated).context("the simulated robot")?;
+    let link = CycleRobot::new(validated).context("the simulated robot")?;
     let cycle = Cycle::new(validated, link).context("the solver")?;
     let mut cycle = cycle.with_kernel_share(share);
     cycle.check_that_it_fits(clock).map_err(|message| Ended {

@@ -10,7 +10,7 @@ use crate::handover::{CycleInputs, Policy, TimedMeasurement};
 
 /// The robot of a cycle, simulated or real. Nothing here allocates, locks or makes a system call.
 #[derive(Debug)]
-pub enum RobotLink {
+pub enum CycleRobot {
     /// Simulated, equal to its model.
     Ideal(Box<IdealRobot>),
     /// Simulated, different from its model.
@@ -20,7 +20,7 @@ pub enum RobotLink {
     Driver,
 }
 
-impl RobotLink {
+impl CycleRobot {
     /// The robot of a configuration. An ideal one moves while its newest command is valid.
     pub fn new(validated: &Validated) -> Result<Self, RobotError> {
         let Validated {

@@ -148,37 +148,27 @@ pub enum Request {
 }
 
 /// Why a request is refused.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
     /// The mode does not allow it.
-    #[error("the present mode does not allow it")]
     WrongMode,
     /// Nobody holds the reference lease, or its holder changed after the request.
-    #[error("no client holds the reference lease, or another one holds it now")]
     NoLease,
     /// No reference lies ahead.
-    #[error("there is no reference ahead")]
     NoReference,
     /// The reference is too far from the tip to be approached.
-    #[error("the reference is too far from the tip")]
     TooFar,
     /// The cause of the fault persists.
-    #[error("the cause of the fault persists")]
     CauseStands,
     /// The robot is measured far from where its last command left it, and the request does not accept this.
-    #[error("the robot is measured far from where its last command left it")]
     PoseDiffers,
     /// The tip is measured far from where the measured bends place it, whether the request accepts the pose or not.
-    #[error("the tip is measured far from where the bends place it")]
     TipElsewhere,
     /// The robot must wait, without a fault: [`Observation::wait`].
-    #[error("the robot has to wait")]
     Waits,
     /// A stop or a fault came after the request, or in the same cycle.
-    #[error("the robot was stopped after this request")]
     Overruled,
     /// The process ends.
-    #[error("the process ends")]
     Ending,
 }
 

@@ -29,7 +29,7 @@ use crate::accounting::Accounting;
 use crate::config::{Validated, ns};
 use crate::core_budget::{CoreBudget, Costs, RecentCosts};
 use crate::handover::{CycleFacts, CycleInputs, CycleRecord, CycleRequest, Policy, Settings};
-use crate::link::RobotLink;
+use crate::link::CycleRobot;
 use crate::obstacles::ObstacleSet;
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Release;
@@ -40,7 +40,7 @@ use unsent::LastSent;
 #[derive(Debug)]
 pub struct Cycle {
     robot: Robot,
-    link: RobotLink,
+    link: CycleRobot,
     state: RobotState,
     rehearsal: Rehearsal,
     last_sent: LastSent,
@@ -98,7 +98,7 @@ impl Cycle {
     /// The solver's settings are out of range; a validated configuration excludes this.
     pub fn new(
         validated: &Validated,
-        link: RobotLink,
+        link: CycleRobot,
     ) -> Result<Self, cdcr_controller::nmpc::SettingsError> {
         let Validated {
             config,

@@ -27,7 +27,7 @@ use crate::handover::{
     ChangedSettings, CycleEnds, CycleInputs, CycleReport, CycleRequest, ReporterEnds, Settings,
     channels,
 };
-use crate::link::RobotLink;
+use crate::link::CycleRobot;
 use crate::rt::clock::ManualClock;
 use crate::rt::schedule::Release;
 use crate::services;
@@ -91,7 +91,7 @@ impl Rig {
             commands: commands.subscriber_builder().create().unwrap(),
             control: control.client_builder().create().unwrap(),
             exchange: Exchange::new(&validated, ports, ends.exchange, 7),
-            cycle: Cycle::new(&validated, RobotLink::Driver).unwrap(),
+            cycle: Cycle::new(&validated, CycleRobot::Driver).unwrap(),
             ends: ends.cycle,
             reports: ends.reporter,
             reloaded: ends.reloaded,

@@ -6,7 +6,7 @@ use super::trial::{Trial, clock};
 use crate::config::{Config, Interface};
 use crate::cycle::Cycle;
 use crate::handover::CycleRecord;
-use crate::link::RobotLink;
+use crate::link::CycleRobot;
 
 #[test]
 fn the_solver_leaves_what_the_rest_of_the_period_was_measured_to_take() {
@@ -51,7 +51,7 @@ fn the_solver_leaves_what_the_rest_of_the_period_was_measured_to_take() {
 fn a_cycle_that_cannot_fit_is_refused_with_the_numbers() {
     let check = |text: &str| {
         let validated = Config::parse(text, Path::new("trial")).unwrap();
-        let cycle = Cycle::new(&validated, RobotLink::Driver).unwrap();
+        let cycle = Cycle::new(&validated, CycleRobot::Driver).unwrap();
         // Each check of the clock takes 100 ns, and so does a cycle.
         cycle.with_kernel_share(0.9).check_that_it_fits(&clock())
     };

@@ -16,7 +16,7 @@ use super::super::*;
 use crate::config::{Config, Interface};
 use crate::convert;
 use crate::handover::TimedMeasurement;
-use crate::link::RobotLink;
+use crate::link::CycleRobot;
 use crate::obstacles::KnownObstacle;
 use crate::rt::clock::ManualClock;
 
@@ -124,7 +124,7 @@ impl Trial {
         let straight = Configuration::straight(validated.robot.section_count());
         let sent_m = validated.robot.cable_lengths(&straight);
         Self {
-            cycle: Cycle::new(&validated, RobotLink::new(&validated).unwrap()).unwrap(),
+            cycle: Cycle::new(&validated, CycleRobot::new(&validated).unwrap()).unwrap(),
             trajectory: Trajectory::with_capacity(4096, validated.robot.reach_m()),
             plant: MisbehavingRobot::new(&validated.robot, &straight, flaws, 7).unwrap(),
             robot: validated.robot,

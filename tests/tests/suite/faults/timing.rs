@@ -9,7 +9,7 @@ use cdcr_controller::safety::{LeaseState, Mode as InnerMode, Reason as InnerReas
 use cdcr_daemon::config::{Config, Validated};
 use cdcr_daemon::cycle::Cycle;
 use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings, TimedMeasurement};
-use cdcr_daemon::link::RobotLink;
+use cdcr_daemon::link::CycleRobot;
 use cdcr_daemon::rt::clock::ManualClock;
 use cdcr_daemon::rt::schedule::Release;
 use cdcr_daemon::rt::suspend::SuspendWatch;
@@ -287,7 +287,7 @@ fn a_solver_that_finds_no_number_is_a_fault_in_its_cycle_and_commands_the_ramp()
             },
         ),
     ] {
-        let mut cycle = Cycle::new(&validated, RobotLink::Driver).unwrap();
+        let mut cycle = Cycle::new(&validated, CycleRobot::Driver).unwrap();
         let mut inputs = unchecked_inputs(Settings::new(&validated.config), position_m);
         let record = run(&mut cycle, 1, &mut inputs, &validated);
         assert_eq!(record.mode, expected);
@@ -302,7 +302,7 @@ fn a_machine_that_slept_stops_the_robot_in_the_first_cycle_that_knows_it() {
     // A test cannot suspend its machine: the two clock values are given, the rest is the daemon's code.
     let mut watch = SuspendWatch::default();
     let validated = Config::parse("[link]\nkind = \"driver\"\n", Path::new("robot.toml")).unwrap();
-    let mut cycle = Cycle::new(&validated, RobotLink::Driver).unwrap();
+    let mut cycle = Cycle::new(&validated, CycleRobot::Driver).unwrap();
     let mut inputs = unchecked_inputs(Settings::new(&validated.config), 0.01);
     for (number, slept_ns, expected) in [
         (1, 60_000_000_000, InnerMode::Tracking { begun: false }),

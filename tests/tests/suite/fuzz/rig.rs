@@ -13,7 +13,7 @@ use cdcr_daemon::config::{Config, Validated, ns};
 use cdcr_daemon::convert;
 use cdcr_daemon::cycle::Cycle;
 use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings};
-use cdcr_daemon::link::RobotLink;
+use cdcr_daemon::link::CycleRobot;
 use cdcr_daemon::rt::clock::{Clock, ManualClock};
 use cdcr_daemon::rt::schedule::Release;
 use cdcr_shared_types::codes::{ChunkMode, Interface, MeasurementKind, RequestKind};
@@ -46,14 +46,14 @@ pub(crate) fn play(script: &Script, tally: &Tally) {
     let text = SECTION.repeat(robot.sections as usize);
     let validated = Config::parse(&text, Path::new("script")).unwrap();
     if robot.driver == 1 {
-        Rig::new(&validated, RobotLink::Driver).play(script, tally);
+        Rig::new(&validated, CycleRobot::Driver).play(script, tally);
     } else {
         Rig::new(&validated, simulated(&validated)).play(script, tally);
     }
 }
 
-pub(crate) fn simulated(validated: &Validated) -> RobotLink {
-    RobotLink::ideal(KinematicPlant::new(&validated.robot, validated.initial))
+pub(crate) fn simulated(validated: &Validated) -> CycleRobot {
+    CycleRobot::ideal(KinematicPlant::new(&validated.robot, validated.initial))
 }
 
 /// The data of the cycle, and the robot behind a correct driver.
@@ -71,7 +71,7 @@ pub(crate) struct Rig {
 }
 
 impl Rig {
-    pub(crate) fn new(validated: &Validated, link: RobotLink) -> Self {
+    pub(crate) fn new(validated: &Validated, link: CycleRobot) -> Self {
         let mut inputs = CycleInputs::new(Settings::new(&validated.config));
         inputs.lease = LeaseState::Held;
         Self {

@@ -56,8 +56,11 @@ fn flaw(text: &str) -> Result<(String, f64), String> {
 }
 
 fn interface() -> impl TypedValueParser<Value = Interface> {
-    PossibleValuesParser::new(["velocity", "position"]).map(|name| match &*name {
-        "position" => Interface::Position,
-        _ => Interface::Velocity,
+    let interfaces = [Interface::Velocity, Interface::Position];
+    PossibleValuesParser::new(interfaces.map(Interface::text)).map(move |name| {
+        let mut interfaces = interfaces.into_iter();
+        interfaces
+            .find(|interface| interface.text() == name)
+            .unwrap_or_default()
     })
 }

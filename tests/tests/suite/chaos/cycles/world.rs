@@ -13,13 +13,13 @@ use cdcr_daemon::config::{Config, Validated, ns};
 use cdcr_daemon::convert;
 use cdcr_daemon::cycle::Cycle;
 use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings};
-use cdcr_daemon::link::RobotLink;
+use cdcr_daemon::link::CycleRobot;
 use cdcr_daemon::obstacles::ObstacleSet;
 use cdcr_daemon::rt::clock::ManualClock;
 use cdcr_daemon::rt::schedule::Release;
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interface, Interpolation, MeasurementKind, Mode, Outcome, RequestKind,
-    RobotLink as Link,
+    RobotLink,
 };
 use cdcr_shared_types::{Command, Header, InputEvent, ReferenceChunk, Telemetry};
 use cdcr_tests::record::largest;
@@ -84,8 +84,9 @@ impl World {
         let period_ns = ns(config.cycle.period_ms);
         let interface = convert::interface(config.link.interface);
         let driver = Driver::new(&mut dice, robot, interface, ORIGIN_NS);
+        let driven = RobotLink::Driver.code();
         Self {
-            cycle: Cycle::new(&validated, RobotLink::Driver).unwrap(),
+            cycle: Cycle::new(&validated, CycleRobot::Driver).unwrap(),
             robot: robot.clone(),
             period_ns,
             timeout_ns: ns(config.link.measurement_timeout_ms),
@@ -106,7 +107,7 @@ impl World {
             chunks: 0,
             replayer: Replayer::default(),
             replayed: ReplayCounts::default(),
-            records: Records::new(robot.clone(), Link::Driver.code(), period_ns, ORIGIN_NS)
+            records: Records::new(robot.clone(), driven, period_ns, ORIGIN_NS)
                 .with_play(config.actuator.play_m > 0.0),
             dice,
         }
