@@ -4,6 +4,10 @@
 /// \[rad\]. Beyond, its encoders may have lost their zero, and a reset has to accept the pose.
 pub const POSE_DIFFERS_RAD: f64 = 0.2;
 
+/// Bends this far beyond their limit are held, not a fault: the daemon commands the position where the robot is measured,
+/// and its driver accepts it. The same tolerance applies between a first position and the measurement \[rad\].
+pub const BEND_TOLERANCE_RAD: f64 = 0.05;
+
 /// Declares the limits, and the list of them.
 macro_rules! limits {
     ($($(#[doc = $doc:literal])+ $name:ident = $value:expr;)+) => {

@@ -1,17 +1,13 @@
 //! The limits of a robot that its driver applies to a command.
 
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
-use cdcr_shared_types::limits::{COORDINATES_MAX, SECTIONS_MAX};
+use cdcr_shared_types::limits::{BEND_TOLERANCE_RAD, COORDINATES_MAX, SECTIONS_MAX};
 use cdcr_shared_types::{Command, Measurement, RobotDescription, SectionDescription};
 
 use super::{CommandRefusal, CommandedPosition};
 
 /// Allowance for rounding of a rate or a speed, as a share of its limit.
 const ROUNDING: f64 = 1e-9;
-/// Tolerance of a bend beyond its limit \[rad\]: the daemon holds a robot that is measured there and commands
-/// its position. For a cable: times the sum of the cable radii along it. The same tolerance applies between a
-/// first position and the measurement.
-const BEND_TOLERANCE_RAD: f64 = 0.05;
 
 /// The sections that a description uses.
 pub(super) fn sections(robot: &RobotDescription) -> &[SectionDescription] {

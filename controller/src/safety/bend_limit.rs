@@ -4,7 +4,7 @@ use std::fmt;
 use crate::robot::{Configuration, Robot};
 
 /// A bend this far beyond its limit is not yet a fault \[rad\].
-const TOLERANCE_RAD: f64 = 0.05;
+pub const BEND_TOLERANCE_RAD: f64 = 0.05;
 /// Time over which measured bends are averaged \[s\].
 const AVERAGE_S: f64 = 0.1;
 /// Longest time between two measurements that counts \[s\]: after a pause, one of them is not yet the average.
@@ -52,14 +52,14 @@ impl BendLimitWatch {
         }
     }
 
-    /// Whether a measured bend is beyond its limit: on average by more than 0.05 rad, or by as much plus the noise now.
+    /// Whether a measured bend is beyond its limit: on average by more than [`BEND_TOLERANCE_RAD`], or by as much plus the noise now.
     pub fn is_broken(&self, robot: &Robot) -> bool {
         let has_average = self.seen_s >= AVERAGE_S;
         is_beyond(robot, &self.measured, self.noise_rad)
             || has_average && Self::is_beyond(robot, &self.average)
     }
 
-    /// Whether a bend without noise is beyond its limit by more than 0.05 rad.
+    /// Whether a bend without noise is beyond its limit by more than [`BEND_TOLERANCE_RAD`].
     pub fn is_beyond(robot: &Robot, at: &Configuration) -> bool {
         is_beyond(robot, at, 0.0)
     }
@@ -122,7 +122,8 @@ impl fmt::Display for FarthestBend {
 
 fn is_beyond(robot: &Robot, at: &Configuration, noise_rad: f64) -> bool {
     let mut sections = robot.sections().iter().enumerate();
-    sections.any(|(j, section)| at.bend_rad(j) > section.bend_max_rad + TOLERANCE_RAD + noise_rad)
+    sections
+        .any(|(j, section)| at.bend_rad(j) > section.bend_max_rad + BEND_TOLERANCE_RAD + noise_rad)
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ mod play;
 mod projection;
 mod ramp;
 
-pub use bend_limit::{BendLimitWatch, FarthestBend};
+pub use bend_limit::{BEND_TOLERANCE_RAD, BendLimitWatch, FarthestBend};
 pub use bucket::LeakyBucket;
 pub use command::{Lag, SafeCommand, Situation, safe_command};
 pub use common_mode::CommonModeWatch;

@@ -20,13 +20,14 @@ pub use settings::{settings_from_wire, settings_to_wire, with_changes};
 
 /// The controller does not know the wire contract, and has the same limits.
 const _: () = {
-    use cdcr_controller::{nmpc, robot};
+    use cdcr_controller::{nmpc, robot, safety};
     use cdcr_shared_types::limits;
     assert!(robot::SECTIONS_MAX == limits::SECTIONS_MAX);
     assert!(nmpc::CONTROL_BLOCKS_MAX == limits::CONTROL_BLOCKS_MAX);
     assert!(nmpc::PLAN_MAX == limits::PLAN_MAX);
     assert!(nmpc::SWARM_MAX == limits::SWARM_MAX);
     assert!(nmpc::OBSTACLES_MAX == limits::OBSTACLES_MAX);
+    assert!(safety::BEND_TOLERANCE_RAD == limits::BEND_TOLERANCE_RAD);
 };
 
 #[cfg(test)]

@@ -2,7 +2,8 @@ use cdcr_controller::estimator::{Estimator, Measurement, Slack, tip_offset_max_m
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Pose, Robot};
 use cdcr_controller::safety::{
-    BendLimitWatch, CommonModeWatch, FollowingWatch, MeasurementWatch, Plausibility, Reason,
+    BEND_TOLERANCE_RAD, BendLimitWatch, CommonModeWatch, FollowingWatch, MeasurementWatch,
+    Plausibility, Reason,
 };
 use nalgebra::Vector3;
 
@@ -13,7 +14,7 @@ use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
 
 /// Commanded positions within this distance of the measured one stay when control begins \[rad\]: zero and load
 /// of motors and encoders. A driver accepts such a first position.
-const BESIDE_RAD: f64 = 0.05;
+const BESIDE_RAD: f64 = BEND_TOLERANCE_RAD;
 /// Motors within this distance of the end of their motion have arrived \[rad\].
 const ARRIVED_RAD: f64 = 1e-3;
 /// Bends all below this count as straight at once \[rad\].
