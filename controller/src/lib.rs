@@ -21,7 +21,7 @@
 //! | [`nmpc`] | the optimal control problem (Eq. 4-5) and its solution | clocks, threads |
 //! | [`safety`] | mode machine, limits, clearance guard: the safety checks before the cables | optimisation |
 //! | [`calibration`] | geometry estimated from measured cables and tips | time, files |
-//! | [`plant`] | simulated robots; used only by `closed_loop` | the controller |
+//! | [`plant`] | simulated robots; within this crate, used only by `closed_loop` | the controller |
 //! | [`closed_loop`] | simulation of solver, safety checks and a robot, ideal or not, period by period | clocks |
 //!
 //! Absent by design: clocks, threads, files, messages, logging, `unsafe`. Time is passed as numbers of periods and

@@ -15,7 +15,7 @@
 //! | [`core_budget`] | time of the solver in a period | source of the measured costs |
 //! | [`obstacles`] | obstacles around the robot | their messages |
 //! | [`handover`] | data exchanged between threads | its use by the threads |
-//! | [`latch`] | state that outlives the process: a stop, a fault | causes of a stop |
+//! | [`latch`] | state that outlives the process: a stop, a fault | - |
 //! | [`kept_obstacles`] | obstacles that outlive the process | their messages |
 //! | [`convert`] | messages and their meaning | senders, times of sending |
 //! | [`services`] | iceoryx2: services, ports, their memory | meaning of the messages |
@@ -29,7 +29,7 @@
 //! | `system` | files of the kernel, cores | what is good about them |
 //! | `doctor` | the machine: what is good about its settings, privileges | output format |
 //! | [`exit`] | causes of the process's end | events before it |
-//! | [`bare`] | the loop without work: latencies of the machine | robot, messages, shared memory |
+//! | [`bare`] | the loop without work: latencies of the machine | robot, shared memory |
 //! | [`app`] | every concrete type | - |
 //! | [`cli`] | the command line | a cycle |
 

@@ -1,6 +1,6 @@
 //! Wire ↔ domain. Conversion validates: its results are finite, in range and of a known kind.
 //!
-//! The only module that knows both a wire type and its domain counterpart.
+//! In the daemon, the only module that converts between a wire type and its domain counterpart.
 
 mod enumerations;
 mod incoming;

@@ -20,6 +20,24 @@ const SOURCES: [&str; 12] = [
     "tests/src",
 ];
 
+/// The folders of the controller in their order: each knows only those before it.
+const CONTROLLER: [&str; 11] = [
+    "parameters",
+    "wide",
+    "robot",
+    "optimizer",
+    "reference",
+    "estimator",
+    "nmpc",
+    "safety",
+    "calibration",
+    "plant",
+    "closed_loop",
+];
+
+/// Crates that only tests depend on.
+const PROGRAMS: [&str; 5] = ["daemon", "view", "python", "bench", "tests"];
+
 /// Largest length of a source file \[lines\].
 const LINES_MAX: usize = 500;
 
@@ -29,15 +47,30 @@ controller/src | iceoryx2 | the mathematics knows no shared memory
 controller/src | std::time | the mathematics knows no clock
 controller/src | std::thread | the mathematics starts no thread
 controller/src | std::fs | the mathematics reads no file
+controller/src/optimizer | crate::robot | a minimiser knows no robot
+controller/src/safety | crate::nmpc | the safety checks know no optimisation
+controller/src/safety | crate::optimizer | the safety checks know no optimisation
+controller/src/plant | crate::nmpc | a simulated robot knows no controller
+controller/src/plant | crate::safety | a simulated robot knows no controller
 daemon/src/rt | cdcr_controller | rt knows no robot
 daemon/src/rt | crate::config | rt knows no configuration
 daemon/src/rt | iceoryx2 | rt knows no shared memory
 daemon/src/cycle | iceoryx2 | the cycle knows no shared memory
 daemon/src/cycle | cdcr_shared_types | the cycle knows no message
 daemon/src/cycle | tracing:: | the cycle does not log
+daemon/src/cycle | std::fs | the cycle knows no file
+daemon/src/cycle | rustix | the cycle knows no system
+daemon/src/cycle | crate::system | the cycle knows no system
+daemon/src/link | cdcr_shared_types | the cycle's robot knows no message
+daemon/src/obstacles | cdcr_shared_types | the known obstacles know no message
+daemon/src/kept_obstacles | cdcr_shared_types | the kept obstacles know no message
+daemon/src/core_budget | cdcr_shared_types | the solver's time knows no message
 interchange/src | iceoryx2 | what leaves the machine knows no shared memory
 interchange/src | std::time | what leaves the machine knows no clock
 interchange/src | std::fs | what leaves the machine knows no file
+interchange/src | Location | what leaves the machine knows no service
+interchange/src | presence | what leaves the machine knows no service
+interchange/src | shm_space | what leaves the machine knows no service
 chart/src | cdcr_ | a chart knows no robot
 c/src | iceoryx2 | what C calls is the client library
 python/src | iceoryx2 | what Python calls is the client library
@@ -230,6 +263,35 @@ fn the_folders_of_a_crate_import_each_other_in_one_direction_only() {
             circles.is_empty(),
             "{name} has a circle among: {circles:#?}"
         );
+    }
+}
+
+#[test]
+fn a_folder_of_the_controller_sees_only_those_above_it() {
+    let graph = graph("controller/src");
+    assert_eq!(graph.len(), CONTROLLER.len(), "{:?}", graph.keys());
+    for (at, module) in CONTROLLER.iter().enumerate() {
+        let mut imports = graph[*module].iter();
+        let below = imports.find(|name| !CONTROLLER[..at].contains(&name.as_str()));
+        assert_eq!(below, None, "{module}");
+    }
+}
+
+#[test]
+fn no_crate_but_the_tests_depends_on_a_program() {
+    let text = |path: String| std::fs::read_to_string(workspace().join(path)).unwrap();
+    let root = text("Cargo.toml".to_owned());
+    let members = root.lines().find(|line| line.starts_with("members = "));
+    let members: Vec<&str> = members.unwrap().split('"').skip(1).step_by(2).collect();
+    assert!(members.len() > 10, "{members:?}");
+    for member in members.into_iter().filter(|member| *member != "tests") {
+        let manifest = text(format!("{member}/Cargo.toml"));
+        let dependencies = manifest
+            .lines()
+            .filter_map(|line| line.strip_prefix("cdcr-"));
+        let names = dependencies.map(|line| line.split(['.', ' ']).next().unwrap());
+        let found: Vec<&str> = names.filter(|name| PROGRAMS.contains(name)).collect();
+        assert!(found.is_empty(), "{member}: {found:?}");
     }
 }
 
