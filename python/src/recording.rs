@@ -20,7 +20,7 @@ use crate::worker::SIGNALS_EACH;
 /// Reads a recording of cdcrctl: a dictionary of structured arrays, "telemetry", "reference", "obstacles", "status" and "incidents", with the fields of the messages
 /// Telemetry, ReferenceChunk, ObstacleUpdate, Status and Incident; one for each that the file holds.
 ///
-/// path: an MCAP file. every: keep each so many-th record of telemetry. A record of telemetry has 14 kB: an hour at 5 ms are 10 GB, so `every` is for long files.
+/// path: an MCAP file. every: keep each so many-th record of telemetry. A record of telemetry has 15.6 kB: an hour at 5 ms are 11 GB, so `every` is for long files.
 /// A file that is cut gives what is whole, and a warning. Raises RecordingError for a file that is none, is damaged, or has messages of another version or of
 /// more than one robot.
 #[pyfunction]

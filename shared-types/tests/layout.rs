@@ -27,19 +27,27 @@ fn fields() -> impl Iterator<Item = (&'static Layout, &'static Field)> {
     layouts.flat_map(|layout| layout.fields.iter().map(|field| (*layout, field)))
 }
 
-/// Decision 3 weighs what a record costs: its numbers are those of today's record.
+/// Decision 3 weighs what a record costs, and Python's pages warn of it: their numbers are those of today's record.
 #[test]
 fn the_decision_for_whole_records_names_their_size() {
-    let path = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../docs/decisions/0003-self-contained-records.md"
-    );
-    let page = std::fs::read_to_string(path).unwrap();
     let bytes = size_of::<Telemetry>();
     let size = format!("{} {:03} bytes", bytes / 1000, bytes % 1000);
-    let rate = format!("{:.1} MB/s at 200 Hz", 200.0 * bytes as f64 * 1e-6);
-    for words in [size, rate] {
-        assert!(page.contains(&words), "{words}");
+    let rate_bytes_s = 200.0 * bytes as f64;
+    let rate = format!("{:.1} MB/s at 200 Hz", 1e-6 * rate_bytes_s);
+    let short = format!("has {:.1} kB", 1e-3 * bytes as f64);
+    let hour = format!("at 5 ms are {:.0} GB", 3600e-9 * rate_bytes_s);
+    for (page, words) in [
+        (
+            "docs/decisions/0003-self-contained-records.md",
+            [&size, &rate],
+        ),
+        ("docs/python.md", [&short, &short]),
+        ("python/src/recording.rs", [&short, &hour]),
+    ] {
+        let path = format!("{}/../{page}", env!("CARGO_MANIFEST_DIR"));
+        let text = std::fs::read_to_string(path).unwrap();
+        let missing = words.into_iter().find(|&words| !text.contains(words));
+        assert_eq!(missing, None, "{page}");
     }
 }
 

@@ -189,8 +189,8 @@ fn one_section() -> Daemon {
     Daemon::start(&format!("{PATIENT}{lab}{section}"))
 }
 
-/// A section longer than configured: when straight, its tip is where no reference is allowed, and its path
-/// used to be rejected.
+/// A section longer than configured: when straight, its tip is where no reference is allowed. Its path is
+/// accepted nevertheless.
 #[test]
 fn a_section_that_is_longer_than_configured_is_excited_too() {
     let section = include_str!("../../../../configs/one-section.toml");
@@ -211,8 +211,8 @@ fn a_section_that_is_longer_than_configured_is_excited_too() {
     assert!((found_m.unwrap() - 0.315).abs() < 2e-3, "{found_m:?}");
 }
 
-/// Two sections reach a point of the tip in two poses, and a path of the tip used to make them jump from one into the other, at any
-/// speed: each duration was too short.
+/// Two sections reach a point of the tip in two poses. A path that makes them jump from one into the other has no duration that is long
+/// enough.
 #[test]
 fn two_sections_are_excited_within_the_duration_that_is_given() {
     let sections = include_str!("../../../../configs/two-sections.toml");

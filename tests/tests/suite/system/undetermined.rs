@@ -3,7 +3,7 @@
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
 use cdcr_tests::Place;
 
-/// A short motion of one section, of motors whose play is not configured: the bounds used to be as large as the values, and all were
+/// A short motion of one section, of motors whose play is not configured: the bounds are as large as the values, and none is
 /// printed for the configuration.
 #[test]
 fn rows_that_determine_nothing_give_nothing_to_paste() {
