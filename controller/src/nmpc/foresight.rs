@@ -370,7 +370,7 @@ mod tests {
                 !is_solved || report.status == SolveStatus::Converged,
                 "{cycle}"
             );
-            others += u32::from(nmpc.plan != blind.plan);
+            others += u32::from(nmpc.plan() != blind.plan());
             (at, rates) = (at.advanced(&command, 0.005), command);
         }
         assert!(others > 10, "{others}");

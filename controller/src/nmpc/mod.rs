@@ -110,18 +110,47 @@ pub struct Nmpc {
     pace_m_s: f64,
     settings: NmpcSettings,
     horizon: Horizon,
+    memory: PlanMemory,
     reachable: Reachable,
-    /// The plan of the last solve, from which the next warm start is made.
-    plan: Vec<f64>,
-    warm_plan: Vec<f64>,
     /// The saved plan during a rehearsal.
     saved_plan: Vec<f64>,
-    /// Periods by which a restored plan was already shifted.
-    restored_periods: u64,
     solver: Solver,
     foresight: Foresight,
     /// The reference, as far as a robot that is behind it can follow.
     paced: Vec<ReferenceSample>,
+}
+
+/// What a solve leaves to the next. All other memory of a controller is workspace.
+#[derive(Debug)]
+struct PlanMemory {
+    /// The plan of the last solve, from which the next warm start is made.
+    plan: Vec<f64>,
+    /// The warm start of the last solve.
+    warm_plan: Vec<f64>,
+    /// Periods by which a restored plan was already shifted.
+    restored_periods: u64,
+}
+
+impl PlanMemory {
+    fn with_capacity(unknowns: usize) -> Self {
+        Self {
+            plan: Vec::with_capacity(unknowns),
+            warm_plan: Vec::with_capacity(unknowns),
+            restored_periods: 0,
+        }
+    }
+
+    fn resize(&mut self, unknowns: usize) {
+        self.plan.resize(unknowns, 0.0);
+        self.warm_plan.resize(unknowns, 0.0);
+    }
+
+    /// Copies a memory of the same size.
+    fn copy_from(&mut self, other: &Self) {
+        self.plan.copy_from_slice(&other.plan);
+        self.warm_plan.copy_from_slice(&other.warm_plan);
+        self.restored_periods = other.restored_periods;
+    }
 }
 
 impl Clone for Nmpc {
@@ -131,9 +160,7 @@ impl Clone for Nmpc {
         let mut clone = Self::from_valid(simd, self.robot.clone(), self.period_s, self.settings);
         clone.acceleration_rad_s2 = self.acceleration_rad_s2;
         clone.pace_m_s = self.pace_m_s;
-        clone.plan.copy_from_slice(&self.plan);
-        clone.warm_plan.copy_from_slice(&self.warm_plan);
-        clone.restored_periods = self.restored_periods;
+        clone.memory.copy_from(&self.memory);
         clone
     }
 }
@@ -172,11 +199,9 @@ impl Nmpc {
             pace_m_s: f64::INFINITY,
             settings,
             horizon: Horizon::new(&settings, width),
+            memory: PlanMemory::with_capacity(unknowns),
             reachable: Reachable::with_capacity(unknowns),
-            plan: Vec::with_capacity(unknowns),
-            warm_plan: Vec::with_capacity(unknowns),
             saved_plan: Vec::with_capacity(unknowns),
-            restored_periods: 0,
             solver: Solver::with_capacity(simd, unknowns, width * TIED_BLOCKS_MAX),
             foresight: Foresight::with_capacity(unknowns),
             paced: Vec::with_capacity(HORIZON_STEPS_MAX),
@@ -222,26 +247,25 @@ impl Nmpc {
         self.horizon = Horizon::new(&settings, width);
         self.foresight.configure(&settings, &self.horizon, width);
         let unknowns = width * self.horizon.blocks();
-        self.plan.resize(unknowns, 0.0);
-        self.warm_plan.resize(unknowns, 0.0);
+        self.memory.resize(unknowns);
         self.saved_plan.resize(unknowns, 0.0);
     }
 
     /// Resets the plan, so that the next warm start is zero rates. For cycles whose command does not come
     /// from the solver.
     pub fn forget_plan(&mut self) {
-        self.plan.fill(0.0);
-        self.restored_periods = 0;
+        self.memory.plan.fill(0.0);
+        self.memory.restored_periods = 0;
     }
 
     /// Replaces the plan by the recorded warm start of a replay, which was already shifted by `moved_on`
     /// periods. The next solve uses `elapsed_periods` = 0. Returns false if the length does not fit the
     /// settings.
     pub fn restore_plan(&mut self, plan: &[f64], shifted_periods: u64) -> bool {
-        let fits = plan.len() == self.plan.len();
+        let fits = plan.len() == self.memory.plan.len();
         if fits {
-            self.plan.copy_from_slice(plan);
-            self.restored_periods = shifted_periods;
+            self.memory.plan.copy_from_slice(plan);
+            self.memory.restored_periods = shifted_periods;
         }
         fits
     }
@@ -264,12 +288,12 @@ impl Nmpc {
     /// The plan of the last solve \[rad/s\]: `2 n` controls for each block, in the coordinates of the
     /// settings.
     pub fn plan(&self) -> &[f64] {
-        &self.plan
+        &self.memory.plan
     }
 
     /// The warm start of the last solve \[rad/s\], in the same layout.
     pub fn warm_plan(&self) -> &[f64] {
-        &self.warm_plan
+        &self.memory.warm_plan
     }
 
     /// Computes the rates for the period that begins now (Fig. 2).
@@ -330,9 +354,9 @@ impl Nmpc {
     /// It plays the part of the preparation phase of the real-time iteration (Diehl et al. 2005,
     /// doi:10.1137/S0363012902400713).
     pub fn rehearse(&mut self, input: &SolveInput, budget: &mut Budget<'_>) {
-        self.saved_plan.copy_from_slice(&self.plan);
+        self.saved_plan.copy_from_slice(&self.memory.plan);
         self.solve(input, budget);
-        core::mem::swap(&mut self.plan, &mut self.saved_plan);
+        core::mem::swap(&mut self.memory.plan, &mut self.saved_plan);
     }
 
     fn surroundings<'a>(&'a self, input: &'a SolveInput<'a>) -> Surroundings<'a> {
@@ -360,16 +384,17 @@ impl Nmpc {
         };
         let motion = context.motion(&self.horizon);
         let limits = self.reachable.update(&context, &motion, budget);
-        let shifted_periods = input.elapsed_periods.saturating_add(self.restored_periods);
-        self.restored_periods = 0;
+        let memory = &mut self.memory;
+        let restored_periods = core::mem::take(&mut memory.restored_periods);
+        let shifted_periods = input.elapsed_periods.saturating_add(restored_periods);
         self.horizon
-            .shift(&self.plan, input.elapsed_periods, &mut self.warm_plan);
+            .shift(&memory.plan, input.elapsed_periods, &mut memory.warm_plan);
         motion.continue_through_straight(
-            &mut self.warm_plan,
+            &mut memory.warm_plan,
             input.previous_rates,
             input.elapsed_periods,
         );
-        self.reachable.bounds.project(&mut self.warm_plan);
+        self.reachable.bounds.project(&mut memory.warm_plan);
         let problem = context.problem(&motion, &limits, &self.reachable, input.reference);
         let task = solver::Task {
             problem: &problem,
@@ -378,30 +403,30 @@ impl Nmpc {
             seed: input.seed,
         };
         let end = task.quanta_max();
-        let solve_end = if task.continues(&self.warm_plan) {
+        let solve_end = if task.continues(&memory.warm_plan) {
             end
         } else {
             u32::MAX
         };
         let mut report = budget.until(solve_end, |budget| {
-            self.solver.solve(&task, &self.warm_plan, budget)
+            self.solver.solve(&task, &memory.warm_plan, budget)
         });
         budget.until(end, |budget| {
             self.foresight
                 .improve(&mut self.solver, &task, &context, budget, &mut report);
         });
-        self.plan.copy_from_slice(self.solver.best());
+        memory.plan.copy_from_slice(self.solver.best());
         if !self.solver.is_evaluated() {
             self.horizon
-                .zero_past_horizon(&mut self.plan, shifted_periods);
+                .zero_past_horizon(&mut memory.plan, shifted_periods);
         }
         let rates = match report.status {
             SolveStatus::NonFinite => None,
             _ if !problem.has_reference() => None,
-            _ => motion.first_rates(robot, &self.plan),
+            _ => motion.first_rates(robot, &memory.plan),
         };
         let rates = rates.unwrap_or_else(|| {
-            self.plan.fill(0.0);
+            memory.plan.fill(0.0);
             BendRates::zero(self.robot.section_count())
         });
         (rates, report)
