@@ -8,14 +8,13 @@ use cdcr_shared_types::limits::INCIDENTS_MAX;
 use crate::Done;
 use crate::args::{Format, IncidentsOptions, Target};
 use crate::echo::{json, line};
-use crate::interrupt::Interrupt;
+use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt};
 
 /// Number of statuses after which all kept incidents have arrived: the daemon detects a new reader at the
 /// latest when it publishes its next status.
 const STATUSES: u64 = 3;
 /// Timeout for these statuses; ten per second are published.
 const TIMEOUT: Duration = Duration::from_secs(2);
-const INTERRUPT_INTERVAL: Duration = Duration::from_millis(100);
 
 pub(crate) fn run(target: &Target, options: &IncidentsOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;

@@ -1,8 +1,14 @@
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGXFSZ};
+
+/// Time without a message after which a waiting command checks that the daemon is alive.
+pub(crate) const QUIET: Duration = Duration::from_secs(1);
+/// Interval of a waiting command's checks for an interrupt.
+pub(crate) const INTERRUPT_INTERVAL: Duration = Duration::from_millis(100);
 
 /// One for the process: a signal between two parts of a command applies to the second.
 static RAISED: OnceLock<Arc<AtomicBool>> = OnceLock::new();

@@ -11,13 +11,8 @@ use crate::args::Target;
 use crate::bar::Bar;
 use crate::dry_run::newest;
 use crate::echo::line::clearance_text;
-use crate::interrupt::Interrupt;
+use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt, QUIET};
 use crate::standstill::Standstill;
-
-/// Time without records after which the daemon counts as silent.
-const QUIET: Duration = Duration::from_secs(1);
-/// Interval of the checks for an interrupt.
-const INTERRUPT_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Progress of the request according to a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

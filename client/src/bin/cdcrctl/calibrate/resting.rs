@@ -5,12 +5,11 @@ use cdcr_client::TelemetryStream;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementKind, Mode};
 
+use crate::interrupt::QUIET;
 use crate::standstill::Standstill;
 
 /// Timeout for a resting robot to be detected at rest.
 const TIMEOUT: Duration = Duration::from_secs(2);
-/// Time without records after which the daemon counts as silent.
-const QUIET: Duration = Duration::from_secs(1);
 
 pub(super) fn next(telemetry: &mut TelemetryStream) -> anyhow::Result<Telemetry> {
     let record = telemetry.next_within(QUIET)?;

@@ -13,12 +13,7 @@ use cdcr_shared_types::message::Struct;
 
 use crate::Done;
 use crate::args::{EchoOptions, Format, Target, Topic};
-use crate::interrupt::Interrupt;
-
-/// Time without a message after which the liveness of the daemon is checked.
-const QUIET: Duration = Duration::from_secs(1);
-/// Interval of the checks for an interrupt.
-const INTERRUPT_INTERVAL: Duration = Duration::from_millis(100);
+use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt, QUIET};
 
 /// Text format of one kind of message.
 pub(crate) struct LineFormat<T> {

@@ -15,10 +15,8 @@ use super::scene::{self, Change, What};
 use super::{TIMEOUT, accepted, check};
 use crate::Done;
 use crate::files::read_text;
-use crate::interrupt::Interrupt;
+use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt};
 
-/// Interval of the checks for an interrupt.
-const INTERRUPT_INTERVAL: Duration = Duration::from_millis(50);
 /// Maximum number of queued lines: a faster writer waits.
 const WAITING: usize = 1024;
 

@@ -15,14 +15,13 @@ use cdcr_client::{Connection, LinkError, Liveness, Message, Stream, monotonic_ns
 use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
 
 use crate::args::Target;
+use crate::interrupt::QUIET;
 
 /// Interval at which the services are read. A client that sends one message leaves a few milliseconds later,
 /// and its unread message is lost.
 const READ_EVERY: Duration = Duration::from_millis(2);
 /// Maximum number of queued readings: 4 s, 60 MB at 1 kHz.
 const WAITING_MAX: usize = 2048;
-/// Time without a cycle after which the liveness of the daemon is checked.
-const QUIET: Duration = Duration::from_secs(1);
 /// Stack size of the thread: iceoryx2 has large arrays on the stack.
 const STACK_BYTES: usize = 4 << 20;
 

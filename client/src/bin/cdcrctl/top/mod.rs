@@ -18,15 +18,13 @@ use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
 use crate::Done;
 use crate::args::{Target, TopOptions};
-use crate::interrupt::Interrupt;
+use crate::interrupt::{Interrupt, QUIET};
 use crate::keys::{self, Keys};
 use crate::picture::Signs;
 use asker::Asker;
 use panels::Screen;
 use seen::Seen;
 
-/// Time without records after which the daemon counts as silent.
-const QUIET: Duration = Duration::from_secs(1);
 const ZOOM_STEP: f64 = 1.25;
 const ZOOM_MAX: f64 = 50.0;
 const ZOOM_MIN: f64 = 0.25;
