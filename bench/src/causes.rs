@@ -3,13 +3,13 @@
 use cdcr_shared_types::codes::LateCause::{self, Compute, Load, PageFault, Platform, Stall};
 use serde::{Serialize, Serializer};
 
-/// Key in results and words of each cause except `None`.
-const NAMES: [(LateCause, &str, &str); LateCause::COUNT - 1] = [
-    (Platform, "platform", "platform"),
-    (Load, "load", "another task"),
-    (PageFault, "fault", "page fault"),
-    (Stall, "other", "stall"),
-    (Compute, "compute", "compute"),
+/// Key in results of each cause except `None`.
+const KEYS: [(LateCause, &str); LateCause::COUNT - 1] = [
+    (Platform, "platform"),
+    (Load, "load"),
+    (PageFault, "fault"),
+    (Stall, "other"),
+    (Compute, "compute"),
 ];
 
 /// Causes of the daemon itself.
@@ -39,18 +39,18 @@ impl Causes {
     }
 
     pub fn all(&self) -> u64 {
-        NAMES.iter().map(|(cause, ..)| self.get(*cause)).sum()
+        KEYS.iter().map(|(cause, _)| self.get(*cause)).sum()
     }
 
     pub fn words(self) -> String {
-        let there = NAMES.iter().filter(|(cause, ..)| self.get(*cause) > 0);
-        let words = there.map(|(cause, _, words)| format!("{} {words}", self.get(*cause)));
+        let there = KEYS.iter().filter(|(cause, _)| self.get(*cause) > 0);
+        let words = there.map(|(cause, _)| format!("{} {cause}", self.get(*cause)));
         words.collect::<Vec<_>>().join(", ")
     }
 }
 
 impl Serialize for Causes {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(NAMES.map(|(cause, key, _)| (key, self.get(cause))))
+        serializer.collect_map(KEYS.map(|(cause, key)| (key, self.get(cause))))
     }
 }

@@ -4,20 +4,28 @@ use std::io::{self, BufWriter, Write};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
+use cdcr_shared_types::codes::LateCause;
 use clap::{Args, ValueEnum};
 
 use super::{Source, end_with_process};
 use crate::bare::{self, BareCycle, BareSummary, Outcome, Percentiles};
 
 /// Help text after the options.
-pub(super) const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --format csv > bare.csv\n\n\
+pub(super) fn after_help() -> String {
+    let causes = LateCause::ALL.iter();
+    let causes: Vec<_> = causes
+        .map(|cause| format!("{} {cause}", cause.code()))
+        .collect();
+    format!("{AFTER_HELP}\ncause: {}.", causes.join(", "))
+}
+
+const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --format csv > bare.csv\n\n\
     The cycle thread of the configuration (core, priority, locked memory, period) wakes up before each release\n\
     (realtime.spin_us), spins until the release and reads the clock. Lateness is evaluated as in cdcrd run, but is caused by\n\
     the machine alone. Uses no shared memory, so it can run beside a daemon; on the same core the two\n\
     disturb each other. SIGINT and SIGTERM end it early and print the results so far.\n\n\
     --format csv prints one line per cycle. run_delay_ns and page_faults are empty where the kernel does not\n\
-    report them. cause: 0 none, 1 platform, 2 another task had the core, 3 page fault, 4 stall of the\n\
-    processor, 5 compute. Logs to the standard error.";
+    report them. Logs to the standard error.";
 
 #[derive(Debug, Args)]
 pub(super) struct BareOptions {
@@ -179,7 +187,6 @@ mod tests {
     use crate::rt::schedule::Lateness;
     use crate::rt::schedule::Release;
     use cdcr_shared_types::LatencySummary;
-    use cdcr_shared_types::codes::LateCause;
 
     fn outcome() -> Outcome {
         let cycle = BareCycle {

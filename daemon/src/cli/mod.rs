@@ -45,7 +45,7 @@ enum Command {
         end_with_parent: Option<i32>,
     },
     /// Run the real-time loop without work: the baseline of this machine.
-    #[command(after_help = bare::AFTER_HELP)]
+    #[command(after_help = bare::after_help())]
     Bare(bare::BareOptions),
     /// Check a configuration and print a summary.
     #[command(after_help = "Example: cdcrd check --config robot.toml --set cycle.period_ms=2")]
