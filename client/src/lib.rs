@@ -105,7 +105,9 @@ pub use driver::{
     CommandFollower, CommandRefusal, CommandedPosition, CommandedRates, Driver, DriverUpdate,
 };
 pub use events::{event_about, events, obstacles};
-pub use feeder::{FeedEnd, FeedError, FeedEvent, FeedOptions, FeedProgress, FeedReport, Feeder};
+pub use feeder::{
+    DURATION_MAX_S, FeedEnd, FeedError, FeedEvent, FeedOptions, FeedProgress, FeedReport, Feeder,
+};
 pub use lease::Lease;
 pub use link_error::{LinkError, Liveness};
 pub use message::Message;

@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use cdcr_client::DURATION_MAX_S;
 use cdcr_controller::closed_loop::{ClosedLoop, Driven, Sensor};
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::{self, NmpcSettings, RateWeight, SolveReport};
@@ -21,7 +22,7 @@ use crate::numbers::{count, within};
 use crate::obstacle::{Obstacle, inner};
 use crate::robot::Robot;
 use crate::settings::settings;
-use crate::trajectory::{DAY_S, Trajectory};
+use crate::trajectory::Trajectory;
 use crate::worker::SIGNALS_EACH;
 
 /// Default of a daemon for the largest acceleration of a robot behind a driver (rad/s²).
@@ -364,8 +365,8 @@ fn check_actuator(actuator: &Actuator, time_constant_s: f64) -> Result<(), Failu
 /// Number of periods. A simulation of more than a day, or with more memory than a day at 5 ms, is rejected as
 /// a wrong unit.
 fn periods(duration_s: f64, period_s: f64) -> Result<usize, Failure> {
-    const PERIODS_MAX: f64 = DAY_S / 0.005;
-    within("duration_s", duration_s, 0.0..=DAY_S)?;
+    const PERIODS_MAX: f64 = DURATION_MAX_S / 0.005;
+    within("duration_s", duration_s, 0.0..=DURATION_MAX_S)?;
     // Rounding must not add a period.
     let periods = (duration_s / period_s - 1e-9).ceil().max(0.0);
     if periods > PERIODS_MAX {

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use cdcr_client::model::orientation_of;
-use cdcr_client::{self, Circle, Figure, FigurePlane, FigureShape, Line, Orientation, Spiral};
+use cdcr_client::{
+    self, Circle, DURATION_MAX_S, Figure, FigurePlane, FigureShape, Line, Orientation, Spiral,
+};
 use cdcr_controller::reference::{
     self, Interpolation, ReferencePoint, ReferenceSample, ReferenceState,
 };
@@ -17,9 +19,6 @@ use crate::robot::Robot;
 
 /// A curve that can be fed or simulated.
 pub(crate) type Curve = dyn cdcr_client::Trajectory + Send + Sync;
-
-/// Longest duration of a feed or a simulation [s].
-pub(crate) const DAY_S: f64 = 86_400.0;
 
 /// Smallest and largest radius and speed of a curve (m, m/s).
 const SMALLEST: f64 = 1e-6;
@@ -218,7 +217,7 @@ impl Points {
         within(
             "the time from the first t to the last",
             lasts_s,
-            0.0..=DAY_S,
+            0.0..=DURATION_MAX_S,
         )?;
         let points = times_s
             .iter()

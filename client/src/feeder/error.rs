@@ -1,6 +1,7 @@
 use cdcr_shared_types::Service;
 use cdcr_shared_types::codes::Outcome;
 
+use super::DURATION_MAX_S;
 use crate::remedy::remedy;
 use crate::{LinkError, Liveness, RequestError};
 
@@ -20,7 +21,7 @@ pub enum FeedError {
         most_s: f64,
     },
     /// The duration of the trajectory is negative, not finite, or longer than a day.
-    #[error("the trajectory lasts {duration_s} s; it must be 0 to 86400 s")]
+    #[error("the trajectory lasts {duration_s} s; it must be 0 to {most_s} s", most_s = DURATION_MAX_S)]
     Duration {
         /// Duration of the trajectory \[s\].
         duration_s: f64,

@@ -35,6 +35,9 @@ const TELEMETRY_TIMEOUT_NS: u64 = 10_000_000_000;
 /// Time after the end of a tracked reference for the daemon to report that end.
 const END_GRACE_NS: u64 = 500_000_000;
 
+/// The longest trajectory that can be fed \[s\]: a day.
+pub const DURATION_MAX_S: f64 = 86_400.0;
+
 /// Event of a running feed.
 #[derive(Debug)]
 #[non_exhaustive]

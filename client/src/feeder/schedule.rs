@@ -4,11 +4,9 @@ use std::time::Duration;
 use cdcr_shared_types::ReferencePoint;
 use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, REFERENCE_POINTS_MAX};
 
-use super::{FeedError, FeedOptions};
+use super::{DURATION_MAX_S, FeedError, FeedOptions};
 use crate::Trajectory;
 
-/// The longest trajectory that can be fed \[s\]: a day.
-const DURATION_MAX_S: f64 = 86_400.0;
 /// Largest excess of a chunk over the time to be covered: few chunks, small buffer.
 const CHUNK_EXTRA_NS: u64 = 250_000_000;
 /// Time after its release for which a point counts as buffered: the daemon keeps the neighbours that its

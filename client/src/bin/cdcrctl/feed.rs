@@ -27,7 +27,7 @@ use crate::standing::{MOVED_M, STATUS, check_stands, distance_m};
 use crate::stop_cause::stop_remedy;
 use crate::tip_error::TipError;
 use crate::unmeasured_tip;
-use crate::value::SPEED_M_S_MAX;
+use crate::value::{CURVE_S, SPEED_M_S_MAX};
 use crate::way_end;
 
 /// From a first point farther away than this, the tip is visibly beside the reference for a while \[m\].
@@ -38,10 +38,7 @@ const GO_LEAD: Duration = Duration::from_millis(500);
 pub(crate) const MISSED_M: f64 = 1e-3;
 /// A reference farther away than this, in robot lengths, needs a confirmation.
 const FAR: f64 = 10.0;
-/// Maximum duration of a repeated curve or file \[s\], and its maximum number of rows below.
-const LONGEST_S: f64 = 86_400.0;
-/// Minimum duration of a reference with more than one point \[s\].
-const SHORTEST_S: f64 = 0.01;
+/// Maximum number of rows of a repeated curve or file.
 const ROWS_MAX: usize = 10_000_000;
 
 /// Feed options, trajectory and connection.
@@ -244,8 +241,9 @@ fn check_duration(trajectory: &dyn Trajectory) -> anyhow::Result<()> {
     let is_point = trajectory.knots_s().is_some_and(|knots| knots.len() < 2);
     let duration_s = trajectory.duration_s();
     ensure!(
-        is_point || duration_s >= SHORTEST_S,
-        "the reference takes {duration_s:.1e} s, less than {SHORTEST_S} s: use a lower speed"
+        is_point || duration_s >= *CURVE_S.start(),
+        "the reference takes {duration_s:.1e} s, less than {} s: use a lower speed",
+        CURVE_S.start()
     );
     Ok(())
 }
@@ -322,8 +320,9 @@ fn changed(
     let duration_s = f64::from(repeat) * trajectory.duration_s() / speed;
     let rows = trajectory.knots_s().map_or(0, <[f64]>::len) * repeat as usize;
     ensure!(
-        duration_s <= LONGEST_S,
-        "the reference lasts {duration_s:.0} s: at most {LONGEST_S} s are allowed (--speed, --repeat)"
+        duration_s <= *CURVE_S.end(),
+        "the reference lasts {duration_s:.0} s: at most {} s are allowed (--speed, --repeat)",
+        CURVE_S.end()
     );
     ensure!(
         rows <= ROWS_MAX,

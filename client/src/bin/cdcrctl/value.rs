@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-use cdcr_client::FigurePlane;
+use cdcr_client::{DURATION_MAX_S, FigurePlane};
 use cdcr_shared_types::codes::Interpolation;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
@@ -96,16 +96,16 @@ pub(crate) fn length_m(text: &str) -> Result<f64, String> {
     Ok(unit_m * positive(digits)?)
 }
 
-/// Duration of a fed curve \[s\].
-pub(crate) const CURVE_S: RangeInclusive<f64> = 0.01..=86_400.0;
+/// Duration of a fed curve, of more than one point \[s\].
+pub(crate) const CURVE_S: RangeInclusive<f64> = 0.01..=DURATION_MAX_S;
 /// Timeout for a robot to be measured at rest, which takes at least a fifth of a second \[s\].
-pub(crate) const WAIT_S: RangeInclusive<f64> = 0.3..=86_400.0;
+pub(crate) const WAIT_S: RangeInclusive<f64> = 0.3..=DURATION_MAX_S;
 /// Recorded time around a trigger \[s\].
 pub(crate) const AROUND_S: RangeInclusive<f64> = 0.0..=60.0;
 
 /// A time between points, or before the start; the library checks the range.
 pub(crate) fn duration(text: &str) -> Result<Duration, String> {
-    duration_in(0.0..=86_400.0)(text)
+    duration_in(0.0..=DURATION_MAX_S)(text)
 }
 
 /// A time in a range \[s\].

@@ -7,7 +7,7 @@ pub(crate) mod line;
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, Message, Stream, counted};
+use cdcr_client::{Connection, DURATION_MAX_S, Message, Stream, counted};
 use cdcr_shared_types::Service;
 use cdcr_shared_types::message::Struct;
 
@@ -154,7 +154,7 @@ struct Pace {
 impl Pace {
     pub(crate) fn new(rate_hz: Option<f64>) -> Self {
         // The lowest rate is once a day.
-        let period_s = rate_hz.map_or(0.0, |rate_hz| (1.0 / rate_hz).min(86_400.0));
+        let period_s = rate_hz.map_or(0.0, |rate_hz| (1.0 / rate_hz).min(DURATION_MAX_S));
         Self {
             every: Duration::from_secs_f64(period_s),
             next: None,

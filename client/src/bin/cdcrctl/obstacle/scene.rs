@@ -3,14 +3,12 @@
 
 use std::collections::BTreeMap;
 
+use cdcr_client::DURATION_MAX_S;
 use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::ObstacleShape;
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use serde::Deserialize;
 use serde_json::Value;
-
-/// Largest time in a scene: a day \[s\].
-const TIME_MAX_S: f64 = 86_400.0;
 
 /// One change of a scene.
 #[derive(Debug, Clone, PartialEq)]
@@ -157,8 +155,10 @@ fn change(number: usize, value: Value) -> Result<Change, String> {
         let known: Known = read(value)?;
         (known.time_s, What::Upsert(obstacle(&known)?))
     };
-    if !(0.0..=TIME_MAX_S).contains(&time_s) {
-        return Err(format!("time_s = {time_s:?} is not 0 to {TIME_MAX_S} s"));
+    if !(0.0..=DURATION_MAX_S).contains(&time_s) {
+        return Err(format!(
+            "time_s = {time_s:?} is not 0 to {DURATION_MAX_S} s"
+        ));
     }
     Ok(Change {
         number,
