@@ -9,16 +9,21 @@ use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Robot};
 /// follows the same equation (docs/model.md §6).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Actuator {
-    /// Time from the release of a command until the motors begin to follow it \[s\], 0 to 0.3.
+    /// Time from the release of a command until the motors begin to follow it \[s\], at most [`Self::TIME_MAX_S`].
     pub delay_s: f64,
-    /// Time constant \[s\], 0 to 0.3.
+    /// Time constant \[s\], at most [`Self::TIME_MAX_S`].
     pub time_constant_s: f64,
-    /// Play between each motor and its cable \[m\], 0 to 0.01: the travel of a reversing motor before its cable
-    /// follows.
+    /// Play between each motor and its cable \[m\], at most [`Self::PLAY_MAX_M`]: the travel of a reversing motor
+    /// before its cable follows.
     pub play_m: f64,
 }
 
 impl Actuator {
+    /// Largest delay and largest time constant \[s\].
+    pub const TIME_MAX_S: f64 = 0.3;
+    /// Largest play \[m\].
+    pub const PLAY_MAX_M: f64 = 0.01;
+
     /// Motors that follow every command at once.
     pub const IDEAL: Self = Self {
         delay_s: 0.0,

@@ -121,6 +121,8 @@ pub enum FlawError {
 impl Flaws {
     /// Each flaw with its name and its allowed range. Lists have a name for each axis.
     pub fn named(&mut self) -> [(&'static str, &mut f64, RangeInclusive<f64>); FLAWS] {
+        const MOTOR_S: RangeInclusive<f64> = 0.0..=Actuator::TIME_MAX_S;
+        const PLAY_M: RangeInclusive<f64> = 0.0..=Actuator::PLAY_MAX_M;
         const DELAY_S: RangeInclusive<f64> = 0.0..=0.3;
         const INTERVAL_S: RangeInclusive<f64> = 0.0..=1.0;
         const LENGTH_M: RangeInclusive<f64> = -0.1..=0.1;
@@ -134,9 +136,9 @@ impl Flaws {
         let ([base_x, base_y, base_z], [turn_x, turn_y, turn_z]) =
             (&mut self.base_m, &mut self.base_turn_rad);
         [
-            ("delay_s", &mut actuator.delay_s, DELAY_S),
-            ("time_constant_s", &mut actuator.time_constant_s, DELAY_S),
-            ("play_m", &mut actuator.play_m, SMALL_M),
+            ("delay_s", &mut actuator.delay_s, MOTOR_S),
+            ("time_constant_s", &mut actuator.time_constant_s, MOTOR_S),
+            ("play_m", &mut actuator.play_m, PLAY_M),
             (
                 "motor_speed_max_m_s",
                 &mut self.motor_speed_max_m_s,

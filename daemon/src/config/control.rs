@@ -9,13 +9,13 @@ use super::{LinkKind, ns};
 table! {
     /// How the robot's motors follow their commands, and the cables the motors.
     pub struct ActuatorConfig {
-        /// Delay from the release of a command until the motors begin to follow it, {range}.
-        delay_ms: f64 = 0.0, in 0.0..=300.0;
+        /// Delay from the release of a command until the motors begin to follow it, {range}, and at most 64 periods.
+        delay_ms: f64 = 0.0, in 0.0..=1e3 * Actuator::TIME_MAX_S, "at most 64 times cycle.period_ms";
         /// Time constant of the motors' first-order lag, {range}.
-        time_constant_ms: f64 = 0.0, in 0.0..=300.0;
+        time_constant_ms: f64 = 0.0, in 0.0..=1e3 * Actuator::TIME_MAX_S;
         /// Play (backlash) between each motor and its cable, {range}: travel of a reversing motor before its cable moves. Set the measured
         /// value. With a tip sensor, the robot still comes to rest at 20 % above the true play, and oscillates at more than 33 %.
-        play_m: f64 = 0.0, in 0.0..=0.01;
+        play_m: f64 = 0.0, in 0.0..=Actuator::PLAY_MAX_M;
     }
 }
 

@@ -23,6 +23,8 @@ const _: () = {
     use cdcr_controller::{nmpc, robot, safety};
     use cdcr_shared_types::limits;
     assert!(robot::SECTIONS_MAX == limits::SECTIONS_MAX);
+    assert!(nmpc::HORIZON_STEPS_MAX == limits::HORIZON_STEPS_MAX);
+    assert!(*nmpc::ranges::ITERATIONS.end() == limits::ITERATIONS_MAX as f64);
     assert!(nmpc::CONTROL_BLOCKS_MAX == limits::CONTROL_BLOCKS_MAX);
     assert!(nmpc::PLAN_MAX == limits::PLAN_MAX);
     assert!(nmpc::SWARM_MAX == limits::SWARM_MAX);
