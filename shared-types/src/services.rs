@@ -172,6 +172,10 @@ impl Service {
     }
 }
 
+/// Characters of a robot's name and of a prefix, and of a root path: both are parts of file names.
+const NAME_MAX: usize = 40;
+const ROOT_MAX: usize = 100;
+
 /// A robot name that cannot be part of a service name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ServiceNameError {
@@ -183,7 +187,7 @@ impl core::fmt::Display for ServiceNameError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         write!(
             f,
-            "invalid robot name {:?}: use 1 to 40 letters, digits, '-' and '_'",
+            "invalid robot name {:?}: use 1 to {NAME_MAX} letters, digits, '-' and '_'",
             self.robot
         )
     }
@@ -223,11 +227,11 @@ impl core::fmt::Display for LocationError {
         match self {
             Self::Prefix(prefix) => write!(
                 f,
-                "invalid prefix {prefix:?}: use 1 to 40 letters, digits, '-' and '_'"
+                "invalid prefix {prefix:?}: use 1 to {NAME_MAX} letters, digits, '-' and '_'"
             ),
             Self::Root(root) => write!(
                 f,
-                "invalid root path {}: use an absolute path of at most 100 characters, not / itself",
+                "invalid root path {}: use an absolute path of at most {ROOT_MAX} characters, not / itself",
                 root.display()
             ),
         }
@@ -245,7 +249,7 @@ impl Location {
         if !Self::is_legal_name(prefix) {
             return Err(LocationError::Prefix(prefix.to_owned()));
         }
-        if !root.is_absolute() || root.as_os_str().len() > 100 || depth(root) == 0 {
+        if !root.is_absolute() || root.as_os_str().len() > ROOT_MAX || depth(root) == 0 {
             return Err(LocationError::Root(root.to_owned()));
         }
         let location = Self {
@@ -385,7 +389,7 @@ impl Location {
     }
 
     fn is_legal_name(name: &str) -> bool {
-        (1..=40).contains(&name.len())
+        (1..=NAME_MAX).contains(&name.len())
             && name
                 .bytes()
                 .all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')

@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use cdcr_shared_types::limits::OBSTACLES_MAX;
 use clap::{Args, Subcommand};
 use clap_complete::ArgValueCandidates;
 
@@ -33,7 +34,7 @@ pub(crate) enum ObstacleAction {
     #[command(after_help = "Example:\n  cdcrctl obstacle remove 1 2")]
     Remove {
         /// Ids of the obstacles
-        #[arg(required = true, value_name = "ID", num_args = 1..=64,
+        #[arg(required = true, value_name = "ID", num_args = 1..=OBSTACLES_MAX,
             add = ArgValueCandidates::new(complete::obstacle_ids))]
         ids: Vec<u32>,
     },

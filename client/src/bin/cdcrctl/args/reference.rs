@@ -3,6 +3,7 @@ use std::time::Duration;
 
 use cdcr_client::FigurePlane;
 use cdcr_shared_types::codes::Interpolation;
+use cdcr_shared_types::limits::SECTIONS_MAX;
 use clap::{Args, Subcommand};
 
 use crate::value::{self, Vector};
@@ -89,7 +90,7 @@ pub(crate) struct FeedArguments {
 #[derive(Debug, Args)]
 pub(crate) struct CurveArguments {
     /// Number of sections of the robot that the curve is for [default: the daemon's robot]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=6), allow_negative_numbers = true)]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=SECTIONS_MAX as i64), allow_negative_numbers = true)]
     pub(crate) sections: Option<u32>,
     /// Duration of the curve [default: as in the paper]
     #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::CURVE_S))]
