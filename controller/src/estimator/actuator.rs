@@ -13,8 +13,7 @@ pub struct Actuator {
     pub delay_s: f64,
     /// Time constant \[s\], at most [`Self::TIME_MAX_S`].
     pub time_constant_s: f64,
-    /// Play between each motor and its cable \[m\], at most [`Self::PLAY_MAX_M`]: the travel of a reversing motor
-    /// before its cable follows.
+    /// Travel of a reversing motor before its cable follows \[m\], at most [`Self::PLAY_MAX_M`].
     pub play_m: f64,
 }
 
@@ -472,10 +471,8 @@ mod tests {
                 let age_s = age_steps as f64 * STEP_S;
                 let at = Configuration::from_slice(&[then, 0.0]).unwrap();
                 let leads_to = model.remaining_motion(age_s).end_from(&at).as_slice()[0];
-                assert!(
-                    (leads_to - commanded).abs() < 3e-5,
-                    "{actuator:?} {age_s}: {leads_to} {commanded}"
-                );
+                let error = (leads_to - commanded).abs();
+                assert!(error < 3e-5, "{actuator:?} {age_s}: {error}");
                 let back = model.remaining_motion(age_s).start_from(&at).as_slice()[0];
                 assert!((back + leads_to - 2.0 * then).abs() < 1e-15);
             }
@@ -491,7 +488,7 @@ mod tests {
         let at = Configuration::straight(1);
         let moved = model.remaining_motion(10.0).end_from(&at).as_slice()[0];
         assert!((moved - 128.0 * 0.005).abs() < 1e-12, "{moved}");
-        // The lag, too, is that of the moves kept: the rates have reversed since.
+        // The lag, too, is that of the moves kept.
         let mut model = ActuatorModel::new(actuator(0.2, 0.1), 1);
         for cycle in 0..1000 {
             model.command(&rates(if cycle < 950 { 1.0 } else { -1.0 }), 0.001);
