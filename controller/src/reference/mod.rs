@@ -2,7 +2,7 @@
 //!
 //! [`Trajectory`] holds the points of a client. [`ReferenceWindow`] holds the samples for one solve: at the release and
 //! at each step of the horizon. [`FollowedReference`] is the reference that the tip follows: the samples of the window,
-//! with an [`Approach`] at the beginning. A tip that was kept back returns to it at the pace
+//! with an [`Approach`] at the beginning. A tip that was held back returns to it at the pace
 //! of [`Followed::pace_m_s`].
 //!
 //! Invariant: nothing here knows the source of the points. Times are nanoseconds of one clock chosen by the caller.
