@@ -163,7 +163,7 @@ pub(crate) enum Task {
     Stop,
     /// Leave mode stopped or faulted, and hold
     #[command(
-        after_help = "A robot whose motors follow positions may move in mode holding after it, by its following error (cdcrctl status): keep clear.\n\n\
+        after_help = "A robot whose motors follow positions may move after the reset by up to its following error (cdcrctl status): keep clear.\n\n\
         Examples:\n  cdcrctl reset --wait\n  cdcrctl reset --accept-pose     after a motion by hand"
     )]
     Reset(ResetOptions),
@@ -231,7 +231,7 @@ pub(crate) enum Task {
     #[command(
         after_help = "Examples:\n  cdcrctl scope --trigger 'error>5mm'\n  cdcrctl scope --trigger fault --before 10s -o fault.mcap\n\n\
         On a terminal, plots error, clearance, response time, fastest bend rate and mode over time while it waits and records, with the trigger \
-        level and a line at the cycle that fired: it meets the condition, and the one before did not. q quits. \
+        level and a line at the trigger cycle, which meets the condition while the cycle before did not. q quits. \
         At the end it prints the same charts. The file includes the time before the trigger."
     )]
     Scope(ScopeOptions),
@@ -300,7 +300,7 @@ pub(crate) struct WaitOptions {
 #[derive(Debug, Args)]
 pub(crate) struct ResetOptions {
     /// Accept the measured pose where it is far from where the last command left the robot, for example after a motion by hand.
-    /// Without this the reset is refused there: encoders that have lost their zero measure the same
+    /// Without it, such a reset is refused, because encoders that lost their zero look the same
     #[arg(long)]
     pub(crate) accept_pose: bool,
     #[command(flatten)]

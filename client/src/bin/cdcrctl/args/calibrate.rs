@@ -67,8 +67,8 @@ pub(crate) struct ExciteOptions {
     /// Largest bend of each section, in rad [default: 90 % of the robot's limit]
     #[arg(long, value_name = "RAD", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) bend_max: Option<f64>,
-    /// Largest bend rate, in rad/s, which the path has where the robot can follow it [default: one round in 15 s, at most 50 % of the
-    /// robot's limit]
+    /// Bend rate limit of the path, in rad/s; if given, the path is made this fast where the robot can follow it [default: one round
+    /// in 15 s, at most 50 % of the robot's limit]
     #[arg(long, value_name = "RAD/S", value_parser = value::positive, allow_negative_numbers = true)]
     pub(crate) rate_max: Option<f64>,
     /// Seed of the path

@@ -65,17 +65,17 @@ pub(crate) struct FeedArguments {
     /// way, too
     #[arg(long, requires = "computed_or_tracked")]
     pub(crate) blend: bool,
-    /// Move nothing: report the error that the robot can reach, the rate, acceleration, cable stroke and
+    /// Move nothing: report the smallest tip error that the robot can achieve, the rate, acceleration, cable stroke and
     /// clearance that it needs, and the direct path to the first point; fail when a point is missed by more than --max-error (1 mm if not given)
     #[arg(long, group = "computed_or_tracked")]
     pub(crate) dry_run: bool,
     /// Interpolation between the points in the daemon: straight lines or a smooth cubic curve
     #[arg(long, value_parser = value::interpolation(), default_value = Interpolation::Cubic.text())]
     pub(crate) interpolation: Interpolation,
-    /// Largest allowed tip error, such as 2mm or 0.002m, once the tip has arrived: estimated, and measured where there is a tip sensor, noise
-    /// included. With it, the command also fails if nothing was tracked. Without it, the limits are 20 mm at the end, and 50 mm, estimated,
-    /// on the way; the latter is off while an obstacle is beside the body, and then until the tip has arrived again. If the robot cannot
-    /// reach a point within this error (1 mm if not given), or with --track the reference is too fast for it, nothing moves
+    /// Largest allowed tip error, such as 2mm or 0.002m, after the tip has arrived: estimated and, with a tip sensor, measured with its
+    /// noise. With this option, the command also fails if nothing was tracked. Default: 20 mm at the end and 50 mm (estimated) on the way;
+    /// the second is not checked while an obstacle is beside the body, and then until the tip has arrived again. Nothing moves if the
+    /// robot cannot reach a point within this error (default for this check: 1 mm), or if with --track the reference is too fast for it
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
     pub(crate) max_error: Option<f64>,
     /// Delay from this command to the first point

@@ -2,10 +2,10 @@ use clap::Args;
 
 use crate::value::{self, Vector};
 
-/// How fast a straight way is gone where nothing else is asked for: speed \[m/s\] and acceleration \[m/s²\].
+/// Default limits of a straight motion: speed \[m/s\] and acceleration \[m/s²\].
 pub(crate) const GENTLE: (f64, f64) = (0.05, 0.5);
 
-/// How a straight way is gone.
+/// Speed, acceleration and allowed error of a straight motion.
 #[derive(Debug, Args)]
 pub(crate) struct StraightArguments {
     /// Largest speed of the tip, in m/s, at most 2
