@@ -52,7 +52,7 @@ impl Parameter {
         format!("{low} to {high}{}", self.unit())
     }
 
-    /// What to ask about a value that is probably not meant: `usual is 0 to 10 rad/s; in degrees?`.
+    /// Question about a value that is probably unintended: `usual is 0 to 10 rad/s; in degrees?`.
     pub fn warning(&self, value: f64) -> Option<String> {
         let usual = self
             .usual

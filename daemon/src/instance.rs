@@ -245,8 +245,8 @@ fn open_obstacles(path: &Path, latch: Latch) -> Result<KeptObstacles, InstanceEr
     let moving = moving.count();
     if moving > 0 {
         tracing::warn!(
-            "{moving} of the kept obstacles move, and are predicted from where they were measured before: \
-             have them measured again before the robot moves"
+            "kept obstacles that move: {moving}; their positions are extrapolated from old measurements. \
+             Measure them again before the robot moves"
         );
     }
     match set.map(|set| set.count()) {

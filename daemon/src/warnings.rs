@@ -278,14 +278,14 @@ fn of_checks(config: &Config) -> Vec<String> {
         }),
         (link.interface == Interface::Position && link.measurement_timeout_ms > HANG_MS_MAX).then(|| {
             format!(
-                "link.measurement_timeout_ms = {}: while a driver of positions hangs, the commanded position runs on for so long, \
-                 by up to {unmeasured_rad:.3} rad of a bend, and the robot is not where it is shown (docs/drivers.md, After a hang)",
+                "link.measurement_timeout_ms = {}: a position driver that hangs is detected only after this time; until then the commanded \
+                 position moves by up to {unmeasured_rad:.3} rad of a bend, and the displayed pose is wrong (docs/drivers.md, After a hang)",
                 link.measurement_timeout_ms
             )
         }),
         (link.command_valid_ms > VALID_MS_MAX).then(|| {
             format!(
-                "link.command_valid_ms = {}: a robot moves on for so long after its daemon has died",
+                "link.command_valid_ms = {}: the robot may keep moving this long after its daemon has died",
                 link.command_valid_ms
             )
         }),
@@ -299,8 +299,8 @@ fn of_section(j: usize, section: &SectionParameters) -> Vec<String> {
         (section.cable_radius_m > section.body_radius_m).then(|| {
             let is_other = section.cable_radius_m > 3.0 * section.body_radius_m && section.body_radius_m > 0.0;
             format!(
-                "robot.sections[{j}].body_radius_m = {} is below cable_radius_m = {}: cables and discs stand out of the \
-                 body from which obstacles are kept away{}",
+                "robot.sections[{j}].body_radius_m = {} is below cable_radius_m = {}: cables and discs lie outside the \
+                 body that the clearance guard protects{}",
                 section.body_radius_m,
                 section.cable_radius_m,
                 if is_other { "; is one of them in another unit?" } else { "" }

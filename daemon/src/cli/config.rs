@@ -204,7 +204,7 @@ fn core_warning(realtime: &RealtimeConfig) -> Option<String> {
     let is_refused = realtime.mode != RealtimeMode::Off && !can_be_pinned(core);
     is_refused.then(|| {
         format!(
-            "realtime.core = {core}: no thread can be pinned to it here; `cdcrd doctor` names the cores that this machine has"
+            "realtime.core = {core} is not available here: no thread can be pinned to it; `cdcrd doctor` lists the cores of this machine"
         )
     })
 }

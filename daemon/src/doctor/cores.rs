@@ -41,9 +41,9 @@ pub(super) fn tick(scene: &Scene) -> Assessed {
     let callbacks = CoreSet::parse(&scene.system.boot_option("rcu_nocbs")?.unwrap_or_default());
     let value = match (has_no_tick, callbacks.contains(&core)) {
         // A core without the tick is also freed from callbacks.
-        (true, _) => "nohz_full: tick gone; rcu_nocbs: callbacks gone",
-        (false, true) => "nohz_full: tick stays; rcu_nocbs: callbacks gone",
-        (false, false) => "nohz_full: tick stays; rcu_nocbs: callbacks stay",
+        (true, _) => "nohz_full: timer tick off; rcu_nocbs: RCU callbacks off",
+        (false, true) => "nohz_full: timer tick on; rcu_nocbs: RCU callbacks off",
+        (false, false) => "nohz_full: timer tick on; rcu_nocbs: RCU callbacks on",
     };
     let period_ms = scene.period_ms();
     if has_no_tick || period_ms >= PERIOD_MS_FINE {
@@ -57,7 +57,7 @@ pub(super) fn siblings(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let siblings = scene.system.siblings(core)?;
     if siblings.is_empty() {
-        return Ok(format!("core {core} has its hardware alone"));
+        return Ok(format!("core {core} shares no physical core"));
     }
     let loads = &scene.load()?.cores;
     let busy = siblings.iter().filter_map(|core| loads.get(core));
@@ -71,7 +71,7 @@ pub(super) fn siblings(scene: &Scene) -> Assessed {
     problem!(Warning, "{value}" => "{remedy}")
 }
 
-/// The remedy that gives the core its hardware exclusively. Siblings are switched off only if another core is
+/// The remedy that gives the core a physical core of its own. Siblings are switched off only if another core is
 /// left for everything else; core 0 cannot be.
 fn rest_alone(scene: &Scene, siblings: &CoreSet) -> Reading {
     let without = |left: CoreSet, core: &usize| left.without(*core);

@@ -144,15 +144,15 @@ pub(super) fn irqbalance(scene: &Scene) -> Assessed {
     };
     let core = scene.core()?;
     if scene.system.cores("isolated")?.contains(&core) {
-        return Ok("runs, and spares isolated cores".to_owned());
+        return Ok("runs, but leaves isolated cores alone".to_owned());
     }
     let environment = scene.system.read(&format!("/proc/{process}/environ"))?;
     let mut variables = environment.split('\0');
     let banned = variables.find_map(|word| word.strip_prefix("IRQBALANCE_BANNED_CPULIST="));
     if CoreSet::parse(banned.unwrap_or_default()).contains(&core) {
-        return Ok(format!("runs, and spares core {core}"));
+        return Ok(format!("runs, but leaves core {core} alone"));
     }
-    problem!(Warning, "runs, and does not spare the core"
+    problem!(Warning, "runs, and may move interrupts to core {core}"
         => "echo IRQBALANCE_BANNED_CPULIST={core} | sudo tee -a /etc/default/irqbalance && sudo systemctl restart \
             irqbalance")
 }

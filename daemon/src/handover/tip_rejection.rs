@@ -35,18 +35,18 @@ impl TipCause {
                  (5) the encoders have lost their zero: docs/drivers.md, Zero; (6) the sensor sees something else than the tip"
             }
             Self::WasFar => {
-                "It was beyond the limit before: it is used again after some time within it"
+                "It exceeded the limit before: it is used again after 0.32 to 20 s within it"
             }
             Self::Jumps => {
-                "It moved faster than the robot can: look for reflections and lost sights"
+                "It moved faster than the robot can: look for reflections and a lost line of sight"
             }
             Self::Jumped => {
-                "It moved faster than the robot can many times in a row: look for reflections and lost sights. It is used again only after \
-                 cdcrctl stop and reset, or from a sensor that is started again"
+                "It moved faster than the robot can many times in a row: look for reflections and a lost line of sight. It is used again only after \
+                 cdcrctl stop and reset, or after the program of the sensor is restarted"
             }
             Self::Frozen => {
-                "It had the same bits while the robot moved: check that the sensor measures. It is used again only after cdcrctl stop and reset, \
-                 or from a sensor that is started again"
+                "Its value did not change while the robot moved: check that the sensor measures. It is used again only after cdcrctl stop and reset, \
+                 or after the program of the sensor is restarted"
             }
         }
     }

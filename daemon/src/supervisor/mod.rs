@@ -282,14 +282,14 @@ impl Supervisor {
         match self.tip_silence.news(summary) {
             Some(TipNews::Silent) => tracing::warn!(
                 cycle = summary.cycle,
-                "the tip sensor is silent for {TIP_SENSOR_SILENT_MS} ms: the robot goes on with its bends, and with the offset of the tip as it was last"
+                "no tip measurement for {TIP_SENSOR_SILENT_MS} ms: continuing with the bends and the last tip offset"
             ),
             Some(TipNews::SilentForLong {
                 silent_s,
                 interval_s,
             }) => tracing::warn!(
                 cycle = summary.cycle,
-                "the tip sensor, silent for {interval_s} s at most before, is silent for {silent_s} s: check that it runs"
+                "no tip measurement for {silent_s} s (longest gap before: {interval_s} s): check that the sensor runs"
             ),
             Some(TipNews::Missing) => tracing::warn!(
                 cycle = summary.cycle,
@@ -298,7 +298,7 @@ impl Supervisor {
                 newest_refusal(summary.refused_tips)
             ),
             Some(TipNews::Regular) => {
-                tracing::info!(cycle = summary.cycle, "the tip is measured regularly");
+                tracing::info!(cycle = summary.cycle, "the tip sensor measures regularly");
             }
             None => {}
         }
@@ -405,11 +405,11 @@ fn has_changed_mode(summary: &Summary, before: &Summary) -> bool {
     (summary.mode, summary.reason) != (before.mode, before.reason)
 }
 
-/// Section and distance; the daemon before this one knew them where it left the pose in doubt.
+/// Section and distance; only the previous daemon knew them where it left the pose in doubt.
 fn accepted_pose(following: &FollowingError) -> String {
     match following.largest() {
         (section, rad) if rad > POSE_DIFFERS_RAD => format!(": section {section} by {rad:.2} rad"),
-        _ => ", which is that of the daemon before".to_owned(),
+        _ => " of the previous daemon".to_owned(),
     }
 }
 

@@ -108,7 +108,7 @@ impl Setting {
         declared.find(|parameter| parameter.name == self.key)
     }
 
-    /// What to ask about a value that is probably not meant.
+    /// Question about a value that is probably unintended.
     pub(crate) fn warning(self, settings: SolverSettings) -> Option<String> {
         let value = self.json(settings).as_f64()?;
         let warning = self.declared()?.warning(value)?;

@@ -46,7 +46,7 @@ pub(crate) fn run(target: &Target, options: &SettingsOptions) -> anyhow::Result<
     Ok(Done::Good)
 }
 
-/// Warns of values that are probably not meant, as `cdcrd check` does.
+/// Warns of values that are probably unintended, as `cdcrd check` does.
 fn warn_of(
     connection: &Connection,
     of: impl Iterator<Item = Setting>,
@@ -102,7 +102,7 @@ fn moves_away(before: SolverSettings, after: SolverSettings, status: &Status) ->
     (is_m > was_m && status.clearance_m < is_m).then(|| {
         format!(
             "safe_distance_m = {is_m} is more than the present clearance of {:.3} m: a tracking robot leaves its reference and moves away from the \
-             obstacle, at up to the limits of its rates, and returns when the distance is lowered. In every other mode it only goes no nearer",
+             obstacle, at up to the limits of its rates, and returns when the distance is lowered. In all other modes it does not move away; it just does not get closer",
             status.clearance_m
         )
     })
@@ -255,7 +255,7 @@ mod tests {
         };
         let budget = unintended(&all, short, &status).join("");
         assert!(
-            budget.starts_with("budget_ms = 0.001 hardly lets the solver begin"),
+            budget.starts_with("budget_ms = 0.001 is too short"),
             "{budget}"
         );
     }

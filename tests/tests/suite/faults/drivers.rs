@@ -233,8 +233,7 @@ fn a_pose_in_doubt_is_in_doubt_for_the_next_daemon() {
         daemon
             .place()
             .checked("cdcrctl reset --accept-pose", 0, &["accepted"]);
-        let accepted =
-            "that differs from that of the last command, which is that of the daemon before";
+        let accepted = "that differs from that of the last command of the previous daemon";
         wait_until("the log names it", || daemon.log().contains(accepted));
         Some(())
     });

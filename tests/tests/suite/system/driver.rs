@@ -319,12 +319,12 @@ fn a_tip_sensor_is_a_sender_of_its_own_beside_the_driver() {
     let silent = newest.unwrap();
     assert_eq!(silent.mode, Mode::Holding.code());
     assert!((silent.tip_offset_m[0] - offset_m[0]).abs() < OFFSET_M / 10.0);
-    robot.run_until(|| daemon.log().contains("the tip sensor is silent"));
+    robot.run_until(|| daemon.log().contains("no tip measurement for 1000 ms"));
     let measured_ns = connection.status(TIMEOUT).unwrap().tip_measured_ns;
     assert!(0 < measured_ns && measured_ns <= begin_ns);
     robot.run_until(|| {
         sense(&sensor, OFFSET_M);
-        daemon.log().contains("the tip is measured regularly")
+        daemon.log().contains("the tip sensor measures regularly")
     });
     // Only the log and the telemetry show a tip that is rejected.
     robot.run_until(|| {
