@@ -3,9 +3,9 @@ use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 const ACCEPT_POSE: &str = "Check where it is. If it was moved by hand, its motors were off or something held it, the measured pose may be right. Otherwise its encoders \
      have lost their zero: bring it to straight and set the zero (docs/drivers.md, Zero). Then accept the measured pose: cdcrctl reset --accept-pose.";
 
-const TIP_ELSEWHERE: &str = "The encoders or the tip sensor are wrong, and --accept-pose does not help: see where the robot is. Where its encoders have lost their zero, bring it to \
-     straight and set the zero (docs/drivers.md, Zero). Where the bends are right (cdcrctl status), end the tip sensor, or let the driver send no tips, for a second. \
-     Then cdcrctl reset, with --accept-pose where cdcrctl status asks for it, and start the sensor again after it was corrected.";
+const TIP_ELSEWHERE: &str = "The encoders or the tip sensor are wrong, and --accept-pose does not help. Check where the robot is. If its encoders have lost their zero, bring it to \
+     straight and set the zero (docs/drivers.md, Zero). If the bends are right (cdcrctl status), end the tip sensor, or let the driver send no tips, for one second. \
+     Then cdcrctl reset, with --accept-pose where cdcrctl status asks for it. Start the sensor again after it was corrected.";
 
 /// Remedy for a refused message or request: one sentence.
 pub fn remedy(outcome: Outcome) -> &'static str {

@@ -49,10 +49,10 @@ const CYCLES_MAX: u64 = 200_000;
 
 /// From a first point nearer than this, the approach is the reference itself \[m\].
 const JOINED_M: f64 = 1e-3;
-/// The limits of the daemon's approach are not known here.
+/// A dry run does not know the limits of the daemon's approach.
 const NO_APPROACH: &str = "  \
-    --track does not go the fastest way: it joins the reference while that moves (motion.approach). Rates, strokes and clearance on that way are \
-    not computed;\n  the clearance may be smaller, down to the safe distance that the guard keeps. --blend goes straight to the first point: \
+    --track does not take this fastest way: it joins the moving reference (motion.approach). Rates, strokes and clearance of the approach are \
+    not computed;\n  its clearance may be smaller, down to the safe distance that the guard keeps. --blend goes straight to the first point: \
     --blend --dry-run computes that way, too.";
 
 /// Demands of a reference on the robot.

@@ -113,13 +113,13 @@ fn blend(
     go(connection, &way, |_| first_m).context("moving to the first point")
 }
 
-/// Says that an approach may lead the tip far from the reference.
+/// Prints a note where an approach may lead the tip far from the reference.
 fn note_distance(before: &Telemetry, trajectory: &dyn Trajectory) {
     let away_m = distance_m(before.tip_position_m, trajectory.position_m(0.0));
     if away_m > FAR_M {
         tell!(
-            "note: the tip is {:.0} mm from the first point. With --track it may approach while the reference moves, and be that far from \
-             it or farther. Ctrl-C makes it hold; --blend brings it to the first point before",
+            "note: the tip is {:.0} mm from the first point. With --track it joins the moving reference, and may stay this far away or \
+             farther meanwhile. Use --blend to move to the first point first; Ctrl-C holds the robot",
             1e3 * away_m
         );
     }

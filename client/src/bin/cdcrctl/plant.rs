@@ -34,8 +34,7 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
         bail!(
             "the robot is already measured, by a driver or a simulating daemon (the daemon is {}): its motors would \
              follow the commands to the simulated robot\n\
-             if it has no motors, or a simulated robot is restarted: \
-             --force",
+             use --force only if no motors are connected, or to restart a simulated robot",
             Mode::text_of(status.mode)
         );
     }

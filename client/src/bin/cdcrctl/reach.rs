@@ -2,7 +2,7 @@
 //! limits only. The dry run covers rates, strokes and obstacles.
 //!
 //! The tip offset is that of the present pose. It differs from pose to pose, by millimetres to centimetres where lengths or radii of the
-//! configuration are wrong, so it may decide about a point at the edge of the reach; both answers say so.
+//! configuration are wrong, so a point at the edge of the workspace may depend on it; both answers say so.
 
 use anyhow::bail;
 use cdcr_client::Trajectory;
@@ -56,7 +56,7 @@ pub(crate) fn check(
                 away(left_m, point_m),
                 1e3 * allowed_m,
                 limit(&robot, &found),
-                doubt(record, left_m - allowed_m),
+                offset_hint(record, left_m - allowed_m),
                 surface(&robot, &robot.tip_position(&found), &offset_m)
             );
         }
@@ -82,7 +82,7 @@ pub(crate) fn check_point(
     if away_m > reach_m + allowed_m {
         bail!(
             "not reachable: the point is {away_m:.3} m from the base, and the robot is {reach_m:.3} m long{}; nothing moved",
-            doubt(record, away_m - reach_m - allowed_m)
+            offset_hint(record, away_m - reach_m - allowed_m)
         );
     }
     let (found, left_m) = nearest(&robot, &shape, &modelled_m, allowed_m);
@@ -91,7 +91,7 @@ pub(crate) fn check_point(
             "not reachable: {}{}{}; nothing moved{}",
             away(left_m, point_m),
             limit(&robot, &found),
-            doubt(record, left_m - allowed_m),
+            offset_hint(record, left_m - allowed_m),
             surface(
                 &robot,
                 &robot.tip_position(&found),
@@ -113,7 +113,7 @@ fn surface(robot: &Robot, nearest_m: &Vector3<f64>, offset_m: &Vector3<f64>) -> 
     let [x, y, z] = (nearest_m + offset_m).into();
     let radius_m = x.hypot(y);
     let point = format!(
-        ". The tip of one section is on a surface, at one height for each distance from the axis. The nearest point is ({x:.4}, {y:.4}, {z:.4}) m"
+        ". With one section, the tip reaches only a surface: each distance from the axis has one height. The nearest point is ({x:.4}, {y:.4}, {z:.4}) m"
     );
     if radius_m < CIRCLE_MIN_M || offset_m.xy().norm() > BESIDE_AXIS_M {
         return point;
@@ -124,23 +124,23 @@ fn surface(robot: &Robot, nearest_m: &Vector3<f64>, offset_m: &Vector3<f64>) -> 
 }
 
 /// What to add to a refusal where the offset of another pose, as large as the present one may be, makes up for `beyond_m`.
-fn doubt(record: &Telemetry, beyond_m: f64) -> String {
+fn offset_hint(record: &Telemetry, beyond_m: f64) -> String {
     if beyond_m > record.tip_margin_m {
         return String::new();
     }
     format!(
-        ". The measured tip decides: it is {:.1} mm from where the bends place it in the present pose, and elsewhere in others. Bring the tip nearer \
-         (cdcrctl goto) and repeat, or allow a larger --max-error; cdcrctl calibrate geometry makes it smaller",
+        ". This depends on the tip sensor: it measures the tip {:.1} mm from where the bends place it in the present pose, and this tip offset changes \
+         with the pose. Bring the tip nearer (cdcrctl goto) and repeat, or allow a larger --max-error; cdcrctl calibrate geometry reduces the offset",
         offset_mm(record)
     )
 }
 
-/// Says where a reference is within reach by the present offset only.
+/// Prints a note where a reference is reachable only with the present offset.
 fn note(record: &Telemetry, is_sure: bool) {
     if !is_sure {
         tell!(
-            "note: this is at the edge of the reach, and only within it if the measured tip stays {:.1} mm from where the bends place it, as in the \
-             present pose: elsewhere the tip may stay away",
+            "note: this is at the edge of the workspace, and reachable only with the tip offset of the present pose, {:.1} mm from where the \
+             bends place the tip. The offset changes with the pose, so the tip may miss it",
             offset_mm(record)
         );
     }
@@ -333,7 +333,7 @@ mod tests {
             robot: robot(1),
             ..Telemetry::default()
         };
-        for (z_m, is_refused, is_in_doubt) in [
+        for (z_m, is_refused, is_hinted) in [
             (0.285, false, false),
             (0.295, true, true),
             (0.305, true, false),
@@ -341,8 +341,8 @@ mod tests {
             let checked = check_point(&record, [0.0, 0.0, z_m], 1e-3);
             let text = checked.map_or_else(|error| error.to_string(), |()| String::new());
             assert_eq!(!text.is_empty(), is_refused, "{z_m}: {text}");
-            let decides = "The measured tip decides: it is 15.0 mm from";
-            assert_eq!(text.contains(decides), is_in_doubt, "{z_m}: {text}");
+            let hint = "This depends on the tip sensor: it measures the tip 15.0 mm from";
+            assert_eq!(text.contains(hint), is_hinted, "{z_m}: {text}");
         }
     }
 }

@@ -42,8 +42,8 @@ fn motion(before: &Status) -> Option<String> {
     let may_move = before.interface == Interface::Position.code() && away_rad > SEEN_RAD;
     may_move.then(|| {
         format!(
-            "note: a section was measured {away_rad:.3} rad from its command. Where it is more than 0.05 rad, the command moves to where the robot is measured, \
-             and the motors may move the robot by as much while the mode is holding; --wait waits until it rests"
+            "note: a section was measured {away_rad:.3} rad from its command. If this is more than 0.05 rad, the commanded position moves to the measured one, \
+             and the motors may move the robot by that much after the reset; --wait waits for rest"
         )
     })
 }

@@ -398,8 +398,8 @@ fn obstacles(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Result
     let silent_s = now_ns.saturating_sub(status.silent_since_ns) as f64 * 1e-9;
     writeln!(
         out,
-        "            a source of them, client {:016x}, has been silent for {silent_s:.1} s (obstacles.source_timeout_ms): its obstacles stay where it \
-         saw them last. Start it again; as another client it clears the list first (cdcrctl obstacle clear)",
+        "            a source of them, client {:016x}, has been silent for {silent_s:.1} s (obstacles.source_timeout_ms): its obstacles remain \
+         at their last positions. Restart it; it counts as a new client, so it must first clear the list (cdcrctl obstacle clear)",
         status.silent_obstacle_source
     )
 }

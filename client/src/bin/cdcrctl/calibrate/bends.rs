@@ -8,9 +8,9 @@ pub(super) fn check_bends(record: &Telemetry, bend_max_rad: f64) -> anyhow::Resu
         let bend_rad = pair[0].hypot(pair[1]);
         ensure!(
             bend_rad <= bend_max_rad,
-            "section {} bends by {bend_rad:.4} rad, more than --bend-max {bend_max_rad:.4}: tip or cables are not as the model says, and the correction \
-             by the measurement bends the robot farther than planned. The robot holds, and the rows so far are kept: try `cdcrctl calibrate geometry` \
-             on them, and for all rows restart cdcrd with --set estimator.tip_noise_m=0.1: it leaves tip errors below 25 mm as they are",
+            "section {} bends by {bend_rad:.4} rad, more than --bend-max {bend_max_rad:.4}: tip or cables do not match the model, and the correction \
+             by the measurement bends the robot farther than planned. The robot holds; the rows so far are kept. Run `cdcrctl calibrate geometry` on \
+             them. To record all rows, restart cdcrd with --set estimator.tip_noise_m=0.1, which does not correct tip errors below 25 mm",
             section + 1
         );
     }

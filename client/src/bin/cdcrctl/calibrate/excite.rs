@@ -161,7 +161,7 @@ impl Bounds {
 fn slow_note(rate_rad_s: f64, bounds: Bounds) -> Option<String> {
     let most_rad_s = bounds.rate_rad_s;
     let why = if bounds.is_rate_asked {
-        "a faster one would miss its points or bend too far: limits or obstacles hold it back; a larger --bend-max or another --seed may help"
+        "limits or obstacles prevent a faster path, which would miss its points or bend too far; a larger --bend-max or another --seed may help"
             .to_owned()
     } else {
         format!(

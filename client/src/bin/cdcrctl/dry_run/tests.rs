@@ -231,7 +231,7 @@ fn the_fastest_way_to_a_far_first_point_is_not_taken_for_the_approach() {
         let demands = Demands::new(&robot, &NmpcSettings::default(), distance_m);
         demands
             .to_string()
-            .contains("--track does not go the fastest way")
+            .contains("--track does not take this fastest way")
     };
     assert!(says_so(0.1) && !says_so(1e-4));
     let mut blended = Demands::new(&robot, &NmpcSettings::default(), 0.1);
