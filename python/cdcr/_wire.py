@@ -40,7 +40,7 @@ class Settings(TypedDict, total=False):
     regenerate_after: int
     """Iterations without improvement before the swarm is regenerated, 0 to 1000; 0: never."""
     safe_distance_m: float
-    """Safe distance between body and obstacles, 0 to 10 m: the clearance guard lets no command bring it nearer. A tracking robot that is nearer leaves its reference and moves away, at up to the limits of its rates: also where a client sets a larger value at run time than the clearance. In every other mode it only goes no nearer. Clients can set no smaller value than this."""
+    """Safe distance between body and obstacles, 0 to 10 m: the clearance guard lets no command bring the body nearer. A tracking robot that is nearer leaves its reference and moves away, at up to its rate limits, also where a client sets a value above the clearance at run time. In all other modes it does not move away; it just does not get closer. Clients cannot set a smaller value than this."""
     seed: int
     """Seed of the swarm, a whole number. The same seed gives bit-identical results."""
     social: float

@@ -104,9 +104,9 @@ crate::parameters! {
         rate_change_weight: f64 = 0.0, in ranges::WEIGHT, usual 0.0..=0.01;
         /// Factor on the error cost of the last step, {range}.
         terminal_weight: f64 = 1.0, in ranges::WEIGHT, usual 0.0..=1e4, "above 0 where controller.horizon_steps is 1";
-        /// Safe distance between body and obstacles, {range}: the clearance guard lets no command bring it nearer. A tracking robot
-        /// that is nearer leaves its reference and moves away, at up to the limits of its rates: also where a client sets a larger value at run
-        /// time than the clearance. In every other mode it only goes no nearer. Clients can set no smaller value than this.
+        /// Safe distance between body and obstacles, {range}: the clearance guard lets no command bring the body nearer. A
+        /// tracking robot that is nearer leaves its reference and moves away, at up to its rate limits, also where a client sets a value above the
+        /// clearance at run time. In all other modes it does not move away; it just does not get closer. Clients cannot set a smaller value than this.
         safe_distance_m: f64 = 0.01, in ranges::SAFE_DISTANCE_M;
         /// Penalty in the solver's cost for each step inside the safe distance, {range}. Rejected without a slope or
         /// square penalty, because it does not prevent collisions alone.

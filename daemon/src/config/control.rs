@@ -14,7 +14,7 @@ table! {
         /// Time constant of the motors' first-order lag, {range}.
         time_constant_ms: f64 = 0.0, in 0.0..=1e3 * Actuator::TIME_MAX_S;
         /// Play (backlash) between each motor and its cable, {range}: travel of a reversing motor before its cable moves. Set the measured
-        /// value. With a tip sensor, the robot still comes to rest at 20 % above the true play, and oscillates at more than 33 %.
+        /// value. With a tip sensor, the robot still comes to rest with a value 20 % above the true play, and oscillates with one more than 33 % above it.
         play_m: f64 = 0.0, in 0.0..=Actuator::PLAY_MAX_M;
     }
 }
@@ -142,7 +142,7 @@ table! {
         /// approach_distance_m is rejected, and a tracking robot holds when such a reference replaces its own. "auto": "direct" for the ideal simulated robot, else "smooth".
         approach: ApproachKind = ApproachKind::Auto;
         /// Largest speed at which the distance decays, {range}. To join a moving reference, the tip briefly moves up to
-        /// 1.5 times as fast as the reference. A tip that something kept back returns at this speed beside the reference's own.
+        /// 1.5 times as fast as the reference. A tip that was held back returns at no more than this speed plus the reference's own.
         approach_speed_m_s: f64 = 0.1, in 1e-4..=100.0, usual 0.0..=5.0;
         /// Largest acceleration that an approach adds to the reference's own, {range}. It is exceeded where the tip would otherwise
         /// deviate by more than 2 % of the robot's length. The tip turns towards an orientation at most at home_rate_rad_s.
