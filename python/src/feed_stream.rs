@@ -410,7 +410,7 @@ impl Followed {
         );
         let next = match Reason::try_from(record.reason) {
             Ok(Reason::ReferenceEnded) => "Send points further ahead of now().",
-            _ => "See the cause with cdcrctl status; then make another stream.",
+            _ => "Find the cause with cdcrctl status, then create a new stream.",
         };
         Err(Failure::new(Class::Feed, message, next))
     }

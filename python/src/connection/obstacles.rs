@@ -50,7 +50,8 @@ impl Connection {
             return Ok(());
         }
         let message = format!("no obstacle {} was known to the daemon", unknown.join(", "));
-        let remedy = "Give numbers of set_obstacles; an obstacle with a lifetime ends by itself.";
+        let remedy =
+            "Use the numbers passed to set_obstacles; an obstacle with a lifetime ends by itself.";
         Err(Failure::new(Class::Request, message, remedy).into())
     }
 }
