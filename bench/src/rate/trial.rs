@@ -313,7 +313,7 @@ mod tests {
     fn the_outcome_of_a_trial_follows_from_what_was_lost_and_why() {
         use TrialOutcome::{Holds, Machine, Own, Slow};
         let (none, stalls) = ([0; 5], [2, 0, 0, 0, 1]);
-        let words = "3 late, 40 skipped (2 platform, 1 stall)";
+        let words = "3 late, 40 skipped (2 platform, 1 stall of the processor)";
         let excused = format!("the machine: {words}");
         let fault = "1 own miss; 0 late, 1000 skipped (10 platform, 1 page fault)";
         let mut observed = Observed { tracking_share: 1.0, ..Observed::default() };

@@ -1,7 +1,6 @@
 use core::ops::Range;
 
 use super::slack::{PlayWindow, Slack};
-
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Robot};
 
 /// Dynamics of the motors: a pure delay and a first-order lag, with play between motors and cables. Valid for
