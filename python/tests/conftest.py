@@ -51,8 +51,8 @@ class Daemon:
     def start(self) -> None:
         self.log = (self.root.parent / (self.root.name + ".log")).open("ab")
         # These tests do not depend on a machine that meets deadlines.
-        patient = ["--set", "realtime.mode=prefer", "--set", "cycle.miss_limit=1000000"]
-        command = [PROGRAMS / "cdcrd", "run", *patient, *self.options]
+        stall_tolerant = ["--set", "realtime.mode=prefer", "--set", "cycle.miss_limit=1000000"]
+        command = [PROGRAMS / "cdcrd", "run", *stall_tolerant, *self.options]
         self.process = subprocess.Popen(command, env=self.environment, stderr=self.log)
 
     def connect(self, **options: object) -> cdcr.Connection:

@@ -12,7 +12,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 static RAISED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
 /// Interval at which a sleeping thread checks for a signal.
-const LOOK: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Installs signal handlers that set a flag instead of ending the process. Every wait checks the flag.
 pub fn catch() -> Result<()> {
@@ -45,6 +45,6 @@ pub fn sleep(duration: Duration) -> Result<()> {
         if left.is_zero() {
             return Ok(());
         }
-        thread::sleep(left.min(LOOK));
+        thread::sleep(left.min(POLL_INTERVAL));
     }
 }

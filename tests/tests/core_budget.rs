@@ -18,7 +18,7 @@ use cdcr_shared_types::codes::{LateCause, ObstacleShape, timing};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENT, asked, ball, wait_status};
+use cdcr_tests::{Daemon, STALL_TOLERANT, asked, ball, wait_status};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// Serialises the tests: two daemons on one core would load each other.
@@ -31,7 +31,7 @@ fn duration_s() -> f64 {
 
 /// Six sections and the longest horizon.
 fn demanding() -> String {
-    let mut configuration = format!("{PATIENT}[controller]\nhorizon_steps = 50\n");
+    let mut configuration = format!("{STALL_TOLERANT}[controller]\nhorizon_steps = 50\n");
     for section in 0..6 {
         write!(
             configuration,
@@ -200,7 +200,7 @@ fn two_loops_have_a_core_each() {
         skip(Need::Cores, "two loops need two cores");
         return;
     }
-    let daemons = [Daemon::start(PATIENT), Daemon::start(PATIENT)];
+    let daemons = [Daemon::start(STALL_TOLERANT), Daemon::start(STALL_TOLERANT)];
     let statuses = daemons
         .each_ref()
         .map(|daemon| wait_status(&daemon.connect(), |status| status.cycles > 5));

@@ -223,7 +223,7 @@ impl<'a> Runner<'a> {
 
 fn launch(options: &DeadlineOptions) -> Launch {
     // There is no driver, so the robot is simulated, whatever the configuration says.
-    let launch = Launch::patient(options.config.clone())
+    let launch = Launch::stall_tolerant(options.config.clone())
         .with("link.kind", "simulated")
         .with("realtime.cycle_priority", CYCLE_PRIORITY);
     match options.period {

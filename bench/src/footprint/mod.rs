@@ -62,7 +62,7 @@ impl Benchmark for FootprintOptions {
         let cores = Cores::find()?;
         cores.stay_off();
         let realtime = may_be_realtime();
-        let launch = Launch::patient(None).placed(&cores, realtime);
+        let launch = Launch::stall_tolerant(None).placed(&cores, realtime);
         let durations = [self.duration.mul_f64(IDLE_SHARE), self.duration];
         let mut rounds = Vec::new();
         for round in 1..=self.rounds {

@@ -23,7 +23,7 @@ use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::subject::transport;
-use crate::subject::watcher::{Looks, Watcher};
+use crate::subject::watcher::{PollCounts, Watcher};
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
 use inputs::Source;
@@ -65,7 +65,7 @@ impl LatencyOptions {
     fn launch(&self, link: &str, cores: &Cores, may_be_realtime: bool) -> Launch {
         let deceleration = format!("{:.1}", stops::DECELERATION_RAD_S2);
         let period_ms = self.period.map(|period| period.as_secs_f64() * 1e3);
-        Launch::patient(self.config.clone())
+        Launch::stall_tolerant(self.config.clone())
             .with("link.kind", link)
             // A stall is no sensor failure. The driver measures the target of its newest command.
             .with("link.measurement_timeout_ms", "10000.0")
@@ -215,7 +215,7 @@ impl Bench<'_> {
             "client_realtime": self.may_be_realtime,
             "realtime_core": self.cores.realtime,
             "client_core": self.cores.client(),
-            "looks": daemon.looks,
+            "looks": daemon.polls,
         })
     }
 }
@@ -225,7 +225,7 @@ struct OfDaemon {
     period_us: f64,
     gather_lead_us: f64,
     refused: bool,
-    looks: Looks,
+    polls: PollCounts,
 }
 
 impl OfDaemon {
@@ -234,7 +234,7 @@ impl OfDaemon {
         self.period_us = status.period_ns as f64 * 1e-3;
         self.gather_lead_us = self.gather_lead_us.max(lead_ns as f64 * 1e-3);
         self.refused |= status.realtime_missing & (realtime::FIFO | realtime::OFF) != 0;
-        self.looks += watcher.looks;
+        self.polls += watcher.polls;
     }
 }
 

@@ -191,7 +191,7 @@ impl Stage {
     }
 
     fn launch(&self, case: &Case, period_ms: f64) -> Launch {
-        Launch::patient(None)
+        Launch::stall_tolerant(None)
             .placed(&self.cores, self.realtime)
             .with_period(period_ms)
             .with("robot.sections", case.robot())

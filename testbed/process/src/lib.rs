@@ -30,7 +30,7 @@ pub use folder::{check_writable, fill_folder, output_folder};
 pub use place::{PREFIX, Place, ROOT, cdcrd_in, in_public_memory};
 
 /// Interval between checks whether a program has ended.
-const LOOK: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Time limit for a program to end after SIGTERM.
 const END_TIMEOUT: Duration = Duration::from_secs(5);
 
@@ -181,7 +181,7 @@ impl Process {
             if status.is_some() || Instant::now() >= deadline {
                 return Ok(status);
             }
-            thread::sleep(LOOK);
+            thread::sleep(POLL_INTERVAL);
         }
     }
 }
@@ -264,7 +264,7 @@ mod tests {
         let deadline = Instant::now() + TIMEOUT;
         while fs::read_to_string(&reported).unwrap().is_empty() {
             assert!(Instant::now() < deadline, "it says nothing");
-            thread::sleep(LOOK);
+            thread::sleep(POLL_INTERVAL);
         }
     }
 
@@ -310,7 +310,7 @@ mod tests {
         // The process is gone, or is a zombie that its new parent has not waited for.
         while fs::read_to_string(&stat).is_ok_and(|stat| !stat.contains(") Z ")) {
             assert!(Instant::now() < deadline, "{left} still runs");
-            thread::sleep(LOOK);
+            thread::sleep(POLL_INTERVAL);
         }
         process.end().unwrap();
     }

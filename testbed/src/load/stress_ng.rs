@@ -14,7 +14,7 @@ use crate::system::cores::Cores;
 use cdcr_process::{Process, folder, on_path, that_ends_with_us};
 
 /// Interval between checks for the end of the load.
-const LOOK: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 pub(super) fn program() -> Result<PathBuf> {
     on_path("stress-ng").context(
@@ -36,7 +36,7 @@ pub(super) fn run(cores: &Cores, signals: &Signals) -> Result<Done> {
         if process.has_ended()? {
             bail!("it ended by itself{}", process.output_tail());
         }
-        thread::sleep(LOOK);
+        thread::sleep(POLL_INTERVAL);
     }
     process.end()?;
     let counts = fs::read_to_string(&counts).context("the counts of stress-ng")?;

@@ -13,7 +13,7 @@ const MOMENT: Duration = Duration::from_millis(500);
 const TIMEOUT: Duration = Duration::from_secs(30);
 
 fn daemon(cores: &Cores) -> Daemon {
-    Daemon::start(&Launch::patient(None).placed(cores, false), cores).unwrap()
+    Daemon::start(&Launch::stall_tolerant(None).placed(cores, false), cores).unwrap()
 }
 
 /// Runs a load until each of its counts has risen: a moment, longer when the machine stalls.

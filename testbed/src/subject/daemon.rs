@@ -18,7 +18,7 @@ use crate::system::cores::Cores;
 
 /// Configuration keys that a measurement needs: on a machine that stalls, the robot must not stop or hold for
 /// lack of inputs, nor may the lease of the reference expire.
-pub const PATIENT: [(&str, &str); 3] = [
+pub const STALL_TOLERANT: [(&str, &str); 3] = [
     ("link.command_valid_ms", "100"),
     ("cycle.miss_limit", "1000000"),
     ("reference.lease_ms", "60000"),
@@ -33,13 +33,13 @@ pub struct Launch {
 }
 
 impl Launch {
-    /// The default or the given file, with [`PATIENT`].
-    pub fn patient(config: Option<PathBuf>) -> Self {
+    /// The default or the given file, with [`STALL_TOLERANT`].
+    pub fn stall_tolerant(config: Option<PathBuf>) -> Self {
         let launch = Self {
             config,
             settings: Vec::new(),
         };
-        PATIENT
+        STALL_TOLERANT
             .iter()
             .fold(launch, |launch, (key, value)| launch.with(key, value))
     }

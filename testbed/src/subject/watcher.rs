@@ -40,8 +40,9 @@ impl Seen {
     }
 }
 
+/// Polls for a command after a release.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, derive_more::AddAssign)]
-pub struct Looks {
+pub struct PollCounts {
     all: u64,
     /// Commands that were there before the first poll.
     late: u64,
@@ -52,7 +53,7 @@ pub struct Watcher {
     pub status: Status,
     /// Time by which it wakes up before each release \[ns\].
     pub before_ns: u64,
-    pub looks: Looks,
+    pub polls: PollCounts,
     /// Cycles that have not been taken yet.
     pub seen: Vec<Seen>,
     pub answers: Vec<Answer>,
@@ -74,7 +75,7 @@ impl Watcher {
         let status = connection.status(TIMEOUT)?;
         let mut watcher = Self {
             before_ns: early_ns.min(status.period_ns / 4),
-            looks: Looks::default(),
+            polls: PollCounts::default(),
             seen: Vec::new(),
             answers: Vec::new(),
             newest: None,
@@ -171,8 +172,8 @@ impl Watcher {
         let next_wake_ns = release_ns + self.status.period_ns - self.before_ns;
         if !self.is_awake {
             self.is_awake = true;
-            self.looks.all += 1;
-            self.looks.late += u64::from(self.receive()?);
+            self.polls.all += 1;
+            self.polls.late += u64::from(self.receive()?);
         }
         loop {
             let is_there = self.receive()?;

@@ -14,7 +14,7 @@ use cdcr_shared_types::{Command, Location, Telemetry};
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, EndWhenDropped, PATIENT, ROBOT, TIMEOUT, ask_for, asked, wait_mode, wait_record,
+    Daemon, EndWhenDropped, ROBOT, STALL_TOLERANT, TIMEOUT, ask_for, asked, wait_mode, wait_record,
     wait_until,
 };
 
@@ -97,7 +97,7 @@ fn at_rest(
     observe: impl FnOnce(&mut Daemon, &mut TelemetryStream, &Telemetry),
 ) {
     let mut daemon = Daemon::start(&format!(
-        "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{}\"\nmeasurement_timeout_ms = 2000.0\n\
+        "{STALL_TOLERANT}[link]\nkind = \"driver\"\ninterface = \"{}\"\nmeasurement_timeout_ms = 2000.0\n\
          [motion]\nhome_rate_rad_s = 0.2\n",
         interface.text()
     ));

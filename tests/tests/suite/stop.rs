@@ -27,7 +27,7 @@ use cdcr_testbed::subject::phases::Phases;
 use cdcr_testbed::subject::stop::Stop;
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, Place, ROBOT, ask_for, wait_record};
+use cdcr_tests::{Daemon, EndWhenDropped, Place, ROBOT, STALL_TOLERANT, ask_for, wait_record};
 
 use crate::chaos::ramp;
 
@@ -71,7 +71,7 @@ fn stops_behind_a_driver(interface: Interface) {
 
 fn configuration(link: &str, interface: Interface) -> String {
     format!(
-        "{PATIENT}[link]\nkind = \"{link}\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n\
+        "{STALL_TOLERANT}[link]\nkind = \"{link}\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n\
          [motion]\napproach = \"direct\"\ndeceleration_rad_s2 = {DECELERATION_RAD_S2:.1}\n"
     )
 }

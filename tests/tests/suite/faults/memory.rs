@@ -7,7 +7,9 @@ use std::time::{Duration, Instant};
 
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENT, Place, TIMEOUT, assert_output, binary, text, wait_status};
+use cdcr_tests::{
+    Daemon, Place, STALL_TOLERANT, TIMEOUT, assert_output, binary, text, wait_status,
+};
 
 use crate::own_mounts::{Filled, has_own_mounts, mount_memory, name_of};
 
@@ -150,7 +152,7 @@ fn too_few_inodes_are_reported_at_the_start_and_to_clients_and_a_stop_gets_throu
 
 #[test]
 fn too_few_files_that_a_process_may_open_are_reported_and_a_stop_gets_through() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     for files in [12, 20, 30] {
         let started = limited(&Place::new(), files, "cdcrd", "run");
         assert_output(&started, 71, &["ulimit -n"]);

@@ -9,8 +9,8 @@ use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind, gu
 use cdcr_shared_types::{InputEvent, Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_bad_obstacles, flood_obstacles};
 use cdcr_tests::{
-    BALL_RADIUS_M, Daemon, EndWhenDropped, PATIENT, ROBOT, ask_for, ball, refused, wait_record,
-    wait_status,
+    BALL_RADIUS_M, Daemon, EndWhenDropped, ROBOT, STALL_TOLERANT, ask_for, ball, refused,
+    wait_record, wait_status,
 };
 
 use crate::faults::robot::Robot;
@@ -71,7 +71,7 @@ fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() 
     let slowly = "[motion]\nhome_rate_rad_s = 0.002\n";
     let bent = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
     // Ideal, because the clearances of consecutive records are compared exactly.
-    let daemon = Daemon::ideal(&format!("{PATIENT}{slowly}{bent}"));
+    let daemon = Daemon::ideal(&format!("{STALL_TOLERANT}{slowly}{bent}"));
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();
@@ -105,7 +105,7 @@ fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() 
 
 #[test]
 fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();
@@ -138,7 +138,7 @@ fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
 
 #[test]
 fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();
@@ -184,7 +184,7 @@ fn count_updates(record: &Telemetry, evaluated: &mut BTreeMap<u64, u32>) {
 /// beside six threads that never pause also depends on the machine (`docs/realtime.md` has numbers).
 #[test]
 fn floods_of_obstacles_keep_nobody_out_and_give_a_gather_no_more_work() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
     let (ending, done) = (AtomicBool::new(false), Done::default());
@@ -221,7 +221,7 @@ fn floods_of_obstacles_keep_nobody_out_and_give_a_gather_no_more_work() {
 fn lose_source(rule: &str) {
     let bent = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
     let daemon = Daemon::start(&format!(
-        "{PATIENT}{bent}[motion]\nhome_rate_rad_s = 0.02\n\
+        "{STALL_TOLERANT}{bent}[motion]\nhome_rate_rad_s = 0.02\n\
          [obstacles]\nsource_timeout_ms = 200.0\nsource_silent = \"{rule}\"\n"
     ));
     let connection = daemon.connect();
@@ -329,7 +329,7 @@ fn kept_file(daemon: &Daemon) -> PathBuf {
 
 #[test]
 fn obstacles_without_a_lifetime_outlive_the_daemon_until_they_are_removed() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let add = |daemon: &Daemon, options: &str, known: &str| {
         let line = format!("cdcrctl obstacle add {options}");
         daemon.place().checked(&line, 0, &[known]);
@@ -386,7 +386,7 @@ fn obstacles_without_a_lifetime_outlive_the_daemon_until_they_are_removed() {
 
 #[test]
 fn a_daemon_that_cannot_read_the_obstacles_before_it_begins_stopped() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let add = "cdcrctl obstacle add --id 1 --at 0.5,0,0.5 --radius 0.03";
     daemon.place().checked(add, 0, &["1 known"]);
     daemon.kill();

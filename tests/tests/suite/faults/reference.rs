@@ -10,7 +10,7 @@ use cdcr_shared_types::codes::{
 };
 use cdcr_shared_types::limits::CHUNK_POINTS_MAX;
 use cdcr_shared_types::{Header, ReferencePoint, Telemetry};
-use cdcr_tests::{Daemon, PATIENT, Program, TIMEOUT, text, until_undisturbed, wait_status};
+use cdcr_tests::{Daemon, Program, STALL_TOLERANT, TIMEOUT, text, until_undisturbed, wait_status};
 use rustix::process::Signal;
 
 use crate::faults::history::History;
@@ -95,7 +95,7 @@ fn assert_ends_at(trail: &mut Trail, end_ns: u64) -> Telemetry {
 
 #[test]
 fn a_reference_that_ends_is_held_at_the_next_release() {
-    let daemon = Daemon::start(&format!("{PATIENT}{RAMP}"));
+    let daemon = Daemon::start(&format!("{STALL_TOLERANT}{RAMP}"));
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
     let feeding = track(&connection, 50, 10);
@@ -113,7 +113,7 @@ fn outcome_of(record: &Telemetry, header: &Header) -> Option<(Outcome, u64)> {
 
 #[test]
 fn points_that_come_too_late_are_refused_and_the_rest_is_followed() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
     let mut refused = 0;

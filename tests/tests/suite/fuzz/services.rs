@@ -5,7 +5,7 @@ use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
 use cdcr_shared_types::{
     Header, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service, Status, ipc,
 };
-use cdcr_tests::{Daemon, PATIENT, Place, ROBOT, TIMEOUT, wait_status, wait_until};
+use cdcr_tests::{Daemon, Place, ROBOT, STALL_TOLERANT, TIMEOUT, wait_status, wait_until};
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
 use iceoryx2::port::publisher::Publisher;
@@ -291,7 +291,7 @@ fn counted(status: &Status) -> u64 {
 /// counted.
 fn outlives(link: &str, must_follow: bool) {
     let daemon = Daemon::start(&format!(
-        "{PATIENT}[link]\nkind = {link:?}\nmeasurement_timeout_ms = 10000.0\n"
+        "{STALL_TOLERANT}[link]\nkind = {link:?}\nmeasurement_timeout_ms = 10000.0\n"
     ));
     let mut watcher = Watcher::arrive(&daemon);
     watcher.recover();

@@ -7,7 +7,7 @@ use cdcr_client::{ConnectError, Connection, Driver, LinkError, monotonic_ns};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
 use cdcr_shared_types::{Location, Measurement, Service, ipc};
 use cdcr_tests::{
-    Daemon, EndWhenDropped, PATIENT, Place, Program, ROBOT, TIMEOUT, ask_for, wait_mode,
+    Daemon, EndWhenDropped, Place, Program, ROBOT, STALL_TOLERANT, TIMEOUT, ask_for, wait_mode,
     wait_record, wait_until,
 };
 use iceoryx2::prelude::Node;
@@ -47,7 +47,7 @@ impl Crowd {
 
 #[test]
 fn a_crowd_that_takes_every_place_does_not_keep_a_stop_out() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let mut telemetry = daemon.connect().telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
     let crowd = Crowd::connect(daemon.place().location());
@@ -108,7 +108,7 @@ fn measure_straight(driver: &Driver) {
 fn a_crowd_that_takes_every_place_does_not_keep_a_driver_out() {
     // Before the first measurement, a stalled machine could stop it for its misses.
     let daemon = Daemon::start(&format!(
-        "{PATIENT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n"
+        "{STALL_TOLERANT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n"
     ));
     let location = daemon.place().location();
     let crowd = Crowd::connect(location);
@@ -210,7 +210,7 @@ fn a_stop_does_not_wait_for_the_dead() {
     if die() {
         return;
     }
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     for _ in 0..VICTIMS {
         let test = "stop::access::a_stop_does_not_wait_for_the_dead";
         kill_a_victim(daemon.place(), test);

@@ -7,7 +7,7 @@ use cdcr_client::Connection;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::record::largest;
 use cdcr_tests::{
-    Daemon, PATIENT, ROBOT, TIMEOUT, ask_for, refused, text, wait_status, wait_until,
+    Daemon, ROBOT, STALL_TOLERANT, TIMEOUT, ask_for, refused, text, wait_status, wait_until,
 };
 use rustix::process::Signal;
 
@@ -161,7 +161,7 @@ fn a_stop_that_finds_a_hung_cycle_holds_for_the_next_daemon() {
 #[test]
 fn a_fault_holds_beyond_a_kill_and_an_orderly_end() {
     let mut daemon = Daemon::start(&format!(
-        "{PATIENT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 500.0\n"
+        "{STALL_TOLERANT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 500.0\n"
     ));
     for is_killed in [true, false] {
         let connection = daemon.connect();

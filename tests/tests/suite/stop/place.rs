@@ -17,7 +17,8 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Location, NameHolder};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
-    Daemon, PATIENT, Program, ROBOT, TIMEOUT, ask_for, assert_output, text, wait_mode, wait_until,
+    Daemon, Program, ROBOT, STALL_TOLERANT, TIMEOUT, ask_for, assert_output, text, wait_mode,
+    wait_until,
 };
 use rustix::fs::{FlockOperation, flock};
 use rustix::process::{Signal, geteuid};
@@ -32,7 +33,7 @@ fn assert_second_is_refused(daemon: &Daemon) {
 
 #[test]
 fn a_deleted_lock_file_is_made_again_and_lets_no_second_daemon_in() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let mut telemetry = daemon.connect().telemetry().unwrap();
     let lock = daemon.place().location().lock_file(ROBOT);
     for _ in 0..2 {
@@ -80,7 +81,7 @@ fn follow_to_rest(location: &Location, moves: &Sender<()>) {
 /// other daemon took its place meanwhile.
 fn assert_ends_without_its_place(delete: impl FnOnce(&Path)) {
     let mut daemon = Daemon::start(&format!(
-        "{PATIENT}[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n[motion]\nhome_rate_rad_s = 0.05\n"
+        "{STALL_TOLERANT}[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n[motion]\nhome_rate_rad_s = 0.05\n"
     ));
     let location = daemon.place().location().clone();
     std::thread::scope(|scope| {
@@ -149,7 +150,7 @@ fn a_replaced_root_folder_ends_the_daemon_at_rest() {
 
 #[test]
 fn programs_that_delete_old_files_leave_the_root_folder_alone() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let root = fs::File::open(daemon.place().location().root()).unwrap();
     // systemd-tmpfiles locks a folder before it enters it, and skips a locked one.
     wait_until("the folder is locked", || {
@@ -199,7 +200,7 @@ impl Drop for Flood {
 
 #[test]
 fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let location = daemon.place().location().clone();
     let flood = Flood::start(&daemon);
     wait_until("nobody is answered", || {
@@ -277,7 +278,7 @@ fn second_in_its_own_network(daemon: &mut Daemon) -> Option<Output> {
 
 #[test]
 fn a_second_daemon_in_another_network_is_refused_with_and_without_a_lock_file() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let Some(second) = second_in_its_own_network(&mut daemon) else {
         return;
     };

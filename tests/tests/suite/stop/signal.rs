@@ -6,7 +6,8 @@ use cdcr_client::RequestError;
 use cdcr_shared_types::SolverSettings;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, TIMEOUT, ask_for, refused, text, until_undisturbed, wait_status, wait_until,
+    Daemon, STALL_TOLERANT, TIMEOUT, ask_for, refused, text, until_undisturbed, wait_status,
+    wait_until,
 };
 use rustix::process::Signal;
 
@@ -57,7 +58,7 @@ fn a_signal_stops_a_moving_robot_and_latches() {
 /// the signal.
 #[test]
 fn only_the_cycle_takes_the_signal() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let cycle = find_thread(daemon.id(), "cdcr-cycle").unwrap();
     let tasks = std::fs::read_dir(format!("/proc/{}/task", daemon.id())).unwrap();
     for task in tasks.flatten().map(|task| task.path()) {
@@ -97,7 +98,7 @@ fn a_stop_that_is_answered_after_its_signal_is_confirmed() {
 
 #[test]
 fn a_terminal_that_hangs_up_does_not_end_the_daemon() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let unset = connection.settings().unwrap();
     let wider = SolverSettings {
@@ -120,7 +121,7 @@ fn a_terminal_that_hangs_up_does_not_end_the_daemon() {
 
 #[test]
 fn a_configuration_that_is_read_again_changes_the_solver_and_a_wrong_one_nothing() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let before = connection.settings().unwrap();
     let reload = |text: &str, answer: &str| {
@@ -136,7 +137,7 @@ fn a_configuration_that_is_read_again_changes_the_solver_and_a_wrong_one_nothing
     };
     let solver = "[controller]\nhorizon_steps = 7\n";
     reload(
-        &format!("{PATIENT}{solver}[motion]\nhome_rate_rad_s = 0.25\n"),
+        &format!("{STALL_TOLERANT}{solver}[motion]\nhome_rate_rad_s = 0.25\n"),
         "keys that need a restart: motion.home_rate_rad_s",
     );
     assert_ne!(before.horizon_steps, 7);
@@ -157,7 +158,7 @@ fn a_configuration_that_is_read_again_changes_the_solver_and_a_wrong_one_nothing
     reload("[controller]\nsafe_distance_m = 0.001\n", nearer);
     assert_eq!(connection.settings().unwrap(), in_force);
     // The original file: the settings of the start.
-    reload(PATIENT, "applied keys: controller.horizon_steps");
+    reload(STALL_TOLERANT, "applied keys: controller.horizon_steps");
     wait_until("it is in force", || {
         connection.settings().unwrap() == before
     });

@@ -15,7 +15,8 @@ use cdcr_interchange::mcap::{Item, Reader};
 use cdcr_interchange::standard::{Log, MarkerArray};
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_tests::{
-    Daemon, PATIENT, Program, ask_for, assert_output, text, track, until_undisturbed, wait_until,
+    Daemon, Program, STALL_TOLERANT, ask_for, assert_output, text, track, until_undisturbed,
+    wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value;
@@ -46,7 +47,7 @@ fn info(daemon: &Daemon, file: &str) -> Value {
 
 #[test]
 fn a_recording_has_what_viewers_draw_and_what_the_machine_is_like() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let file = daemon.place().folder().join("run.mcap");
     let mut recorder = daemon.place().record("run.mcap");
     let curve = Spiral {
@@ -97,7 +98,7 @@ fn a_recording_has_what_viewers_draw_and_what_the_machine_is_like() {
 /// A disk may block under the load of a build; here, standard error is not read.
 #[test]
 fn what_makes_a_recorder_wait_loses_nothing() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let (mut unread, mut full) = std::io::pipe().unwrap();
     // One page, independent of the page size and of the default capacity of pipes.
     let room = rustix::pipe::fcntl_setpipe_size(&full, 1).unwrap();
@@ -142,7 +143,7 @@ fn output_of_one_that_ends(mut program: Program) -> Option<Output> {
 fn what_was_before_a_change_of_mode_is_recorded_with_what_comes_after() {
     let around = "cdcrctl record --around mode --before 1s --after 500ms -o mode.mcap";
     let (daemon, found) = until_undisturbed("a recorder ends half a second later", || {
-        let daemon = Daemon::start(PATIENT);
+        let daemon = Daemon::start(STALL_TOLERANT);
         let recorder = daemon.place().start(around);
         let file = daemon.place().folder().join("mode.mcap");
         // Long enough to fill its memory.
@@ -171,7 +172,7 @@ fn what_was_before_a_change_of_mode_is_recorded_with_what_comes_after() {
 fn the_scope_waits_draws_and_records() {
     let line = "cdcrctl scope --trigger mode --before 500ms --after 500ms -o shot.mcap";
     let (daemon, output) = until_undisturbed("a scope sees a stop after a second", || {
-        let daemon = Daemon::start(PATIENT);
+        let daemon = Daemon::start(STALL_TOLERANT);
         let scope = daemon.place().start(line);
         std::thread::sleep(Duration::from_secs(1));
         let connection = daemon.connect();
@@ -190,7 +191,7 @@ fn the_scope_waits_draws_and_records() {
 
 #[test]
 fn what_does_not_happen_leaves_no_file() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     let line = "cdcrctl record --around error>500mm --duration 500ms -o none.mcap";
     place.checked(line, 1, &["nothing was recorded"]);

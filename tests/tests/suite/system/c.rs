@@ -5,7 +5,9 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
 
-use cdcr_tests::{Daemon, PATIENT, Place, Program, TIMEOUT, assert_output, text, wait_until};
+use cdcr_tests::{
+    Daemon, Place, Program, STALL_TOLERANT, TIMEOUT, assert_output, text, wait_until,
+};
 
 use super::driver_example::run_driver;
 
@@ -72,7 +74,7 @@ fn the_driver_in_c_is_short() {
 
 #[test]
 fn the_client_in_c_feeds_and_watches() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let program = built(daemon.place(), "examples/feed.c", Linked::Shared);
     let output = Program::start(&mut daemon.place().command_of(&program)).output();
     let reported = assert_output(&output, 0, &["robot cdcr: 3 sections, 0.9 m"]);
@@ -126,7 +128,7 @@ impl Probe {
 /// handles alone.
 #[test]
 fn what_a_program_in_c_does_wrong_is_refused_and_harms_nobody() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     for case in ["forks", "threads", "inputs"] {
         Probe::start(&daemon, case).ends_well();
     }
@@ -134,7 +136,7 @@ fn what_a_program_in_c_does_wrong_is_refused_and_harms_nobody() {
 
 #[test]
 fn a_lease_of_another_is_a_refusal_and_one_of_a_program_that_ended_is_free() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let lease = connection.acquire_lease_within(TIMEOUT).unwrap();
     let mut probe = Probe::start(&daemon, "lease");
@@ -148,7 +150,7 @@ fn a_lease_of_another_is_a_refusal_and_one_of_a_program_that_ended_is_free() {
 
 #[test]
 fn a_daemon_that_goes_away_is_silence_and_rest() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let mut probe = Probe::start(&daemon, "away");
     probe.wait(1);
     daemon.kill();

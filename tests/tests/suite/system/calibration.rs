@@ -9,7 +9,7 @@ use cdcr_client::Connection;
 use cdcr_scratch::Scratch;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, TIMEOUT, ask_for, assert_output, binary, text,
+    Daemon, Place, Program, STALL_TOLERANT, TIMEOUT, ask_for, assert_output, binary, text,
     until_undisturbed, wait_mode, wait_record, wait_until,
 };
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
@@ -186,7 +186,7 @@ fn the_page_finds_the_robot_and_its_paste_makes_the_error_small() {
 fn one_section() -> Daemon {
     let section = include_str!("../../../../configs/one-section.toml");
     let lab = "[link]\nsimulated = \"laboratory\"\nsimulated_tip = true\n";
-    Daemon::start(&format!("{PATIENT}{lab}{section}"))
+    Daemon::start(&format!("{STALL_TOLERANT}{lab}{section}"))
 }
 
 /// A section longer than configured: when straight, its tip is where no reference is allowed. Its path is
@@ -196,7 +196,7 @@ fn a_section_that_is_longer_than_configured_is_excited_too() {
     let section = include_str!("../../../../configs/one-section.toml");
     let longer = "simulated_geometry = [[0.315, 0.0125, 0.0]]\n";
     let lab = "[link]\nsimulated = \"laboratory\"\nsimulated_tip = true\n";
-    let daemon = Daemon::start(&format!("{PATIENT}{lab}{longer}{section}"));
+    let daemon = Daemon::start(&format!("{STALL_TOLERANT}{lab}{longer}{section}"));
     let folder = daemon.place().folder();
     // The offset exists from the first measurement on, but its estimate takes some seconds.
     let mut telemetry = daemon.connect().telemetry().unwrap();
@@ -218,7 +218,7 @@ fn two_sections_are_excited_within_the_duration_that_is_given() {
     let sections = include_str!("../../../../configs/two-sections.toml");
     let lab = "[link]\nsimulated = \"laboratory\"\nsimulated_tip = true\n\
         simulated_geometry = [[0.315, 0.01275, 0.05], [0.288, 0.0122, 0.65]]\n";
-    let daemon = Daemon::start(&format!("{PATIENT}{lab}{sections}"));
+    let daemon = Daemon::start(&format!("{STALL_TOLERANT}{lab}{sections}"));
     let place = daemon.place();
     for options in ["20s", "35s --seed 4", "35s --rate-max 1.5 --seed 1"] {
         let line = format!("cdcrctl calibrate excite -o moved.csv --dry-run --duration {options}");
@@ -276,7 +276,7 @@ fn an_exciting_path_that_cannot_be_is_refused_before_anything_moves() {
         (status.mode, status.lease_holder),
         (Mode::Holding.code(), 0)
     );
-    let without_tip = Daemon::start(PATIENT);
+    let without_tip = Daemon::start(STALL_TOLERANT);
     without_tip
         .place()
         .checked(EXCITE, 1, &["calibration needs cable lengths and the tip"]);
@@ -457,7 +457,7 @@ fn a_recording_gives_the_same_result_as_its_rows() {
     let repair = "cut.mcap is truncated: only complete messages were read; recover them with `cdcrctl info --repair cut.mcap`";
     assert!(reported.contains(repair), "{reported}");
 
-    let without_tip = Daemon::start(PATIENT);
+    let without_tip = Daemon::start(STALL_TOLERANT);
     let place = without_tip.place();
     place.checked(
         "cdcrctl record -o rest.mcap --duration 500ms",

@@ -9,7 +9,9 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, Mode, Reason};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, assert_output, text, wait_mode, wait_status};
+use cdcr_tests::{
+    Daemon, ROBOT, STALL_TOLERANT, TIMEOUT, assert_output, text, wait_mode, wait_status,
+};
 use rustix::process::Signal;
 
 /// Output of a command that fails.
@@ -45,7 +47,7 @@ ref line --velocity 3,0,0 --dry-run => more than 2: use a lower speed
 #[test]
 fn errors_say_what_is_so_and_what_to_do() {
     let daemon = Daemon::start(&format!(
-        "{PATIENT}[obstacles]\nsource_timeout_ms = 500.0\n"
+        "{STALL_TOLERANT}[obstacles]\nsource_timeout_ms = 500.0\n"
     ));
     for row in REFUSED.lines() {
         let (line, printed) = row.split_once(" => ").unwrap();
@@ -66,7 +68,7 @@ fn errors_say_what_is_so_and_what_to_do() {
 
 #[test]
 fn the_obstacles_that_are_known_are_listed() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     assert_eq!(done(&daemon, "obstacle list"), "no obstacles are known\n");
     done(&daemon, "obstacle add --id 7 --at 0.5,0,0.35 --radius 0.02");
     done(
@@ -105,7 +107,7 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
     // Far from the start of the line, and so slow that it never gets there.
     let far = "[link]\ninitial_bend_rad = [[0.5, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
     let daemon = Daemon::start(&format!(
-        "{PATIENT}{far}[motion]\nacceleration_rad_s2 = 0.01\napproach = \"direct\"\n"
+        "{STALL_TOLERANT}{far}[motion]\nacceleration_rad_s2 = 0.01\napproach = \"direct\"\n"
     ));
     let printed = done(
         &daemon,
@@ -144,7 +146,7 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
     let bent = "[link]\ninitial_bend_rad = [[0.2, 0.0], [0.0, -0.1], [0.0, 0.0]]\n";
     // Homing takes four seconds: longer than the check that the robot continues.
     let daemon = Daemon::start(&format!(
-        "{PATIENT}{bent}[motion]\nhome_rate_rad_s = 0.05\n"
+        "{STALL_TOLERANT}{bent}[motion]\nhome_rate_rad_s = 0.05\n"
     ));
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
@@ -209,7 +211,7 @@ const LAG_S: f64 = 0.4;
 fn waiting_ends_when_the_robot_is_measured_to_rest() {
     for interface in [Interface::Position, Interface::Velocity] {
         let daemon = Daemon::start(&format!(
-            "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{}\"\nmeasurement_timeout_ms = 2000.0\n\
+            "{STALL_TOLERANT}[link]\nkind = \"driver\"\ninterface = \"{}\"\nmeasurement_timeout_ms = 2000.0\n\
              [motion]\nhome_rate_rad_s = 0.1\n[safety]\nfollowing_fault_rad = 10.0\n",
             interface.text()
         ));
@@ -267,7 +269,7 @@ fn drive_until(daemon: &Daemon, interface: Interface, ending: &AtomicBool) -> f6
 
 #[test]
 fn saved_settings_are_those_of_the_next_daemon() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let file = daemon.place().folder().join("robot.toml");
     // A file that another program or a unit refers to exists even when nothing differs.
     let made = done(&daemon, "settings save new.toml");
@@ -304,7 +306,7 @@ fn saved_settings_are_those_of_the_next_daemon() {
 
 #[test]
 fn a_weight_that_is_probably_not_meant_is_a_warning() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let warning = "warning: rate_weight = 1e12: usual is 0 to 0.01";
     for words in [&["settings", "set", "rate_weight=1e12"][..], &["settings"]] {
         let output = daemon.place().cdcrctl(words);
@@ -324,7 +326,7 @@ fn a_weight_that_is_probably_not_meant_is_a_warning() {
 
 #[test]
 fn a_shell_is_offered_robots_obstacles_and_settings() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     done(
         &daemon,
         "obstacle add --id 4711 --at 0.5,0,0.25 --radius 0.02",

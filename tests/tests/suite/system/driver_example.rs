@@ -5,8 +5,8 @@ use std::process::Command;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementState, Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, TIMEOUT, paper_line, reset_here, text, track, wait_mode,
-    wait_record,
+    Daemon, Place, Program, STALL_TOLERANT, TIMEOUT, paper_line, reset_here, text, track,
+    wait_mode, wait_record,
 };
 use rustix::process::Signal;
 
@@ -30,7 +30,7 @@ fn the_example_of_a_position_driver_tracks_holds_and_ends() {
 /// Runs an example driver for beginners.
 pub(super) fn run_driver(interface: &str, program: impl FnOnce(&Place) -> Command) {
     let mut daemon = Daemon::start(&format!(
-        "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n\
+        "{STALL_TOLERANT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n\
          command_valid_ms = 1000.0\n"
     ));
     let mut command = program(daemon.place());
@@ -77,7 +77,7 @@ pub(super) fn run_driver(interface: &str, program: impl FnOnce(&Place) -> Comman
 #[test]
 fn a_position_driver_that_is_started_again_beside_a_stopped_robot_moves_nothing() {
     let daemon = Daemon::start(&format!(
-        "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"position\"\nmeasurement_timeout_ms = 1000.0\n\
+        "{STALL_TOLERANT}[link]\nkind = \"driver\"\ninterface = \"position\"\nmeasurement_timeout_ms = 1000.0\n\
          command_valid_ms = 1000.0\n"
     ));
     let start = || daemon.place().start("examples/driver position");

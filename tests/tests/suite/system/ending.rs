@@ -6,7 +6,7 @@ use cdcr_client::{FeedOptions, Line, RequestError};
 use cdcr_shared_types::Command;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 use cdcr_tests::record::largest;
-use cdcr_tests::{Daemon, PATIENT, ask_for, wait_until};
+use cdcr_tests::{Daemon, STALL_TOLERANT, ask_for, wait_until};
 use rustix::process::Signal;
 
 const ASKED: i32 = 0;
@@ -19,7 +19,7 @@ fn moving(rate_rad_s: f64, deceleration_rad_s2: f64) -> Daemon {
     );
     // So long a validity that no stall of the machine ends the ramp.
     let bend = "[link]\ncommand_valid_ms = 500.0\ninitial_bend_rad = [[2.0, 0.0], [0.0, -2.0], [1.0, 1.0]]\n";
-    let daemon = Daemon::start(&format!("{PATIENT}{motion}{bend}"));
+    let daemon = Daemon::start(&format!("{STALL_TOLERANT}{motion}{bend}"));
     let connection = daemon.connect();
     let mut commands = connection.commands().unwrap();
     ask_for(&connection, RequestKind::Home);
@@ -100,7 +100,7 @@ fn a_robot_that_cannot_rest_in_time_ends_with_a_status_of_its_own() {
 #[test]
 fn the_largest_problem_starts_at_once_and_ends_on_request() {
     let mut daemon = Daemon::start(&format!(
-        "{PATIENT}[controller]\nhorizon_steps = 50\nswarm_size = 512\nswarm_iterations = 1000\n"
+        "{STALL_TOLERANT}[controller]\nhorizon_steps = 50\nswarm_size = 512\nswarm_iterations = 1000\n"
     ));
     let status = daemon.stop();
     assert_eq!(status.code(), Some(ASKED), "{}", daemon.log());

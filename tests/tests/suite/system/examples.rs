@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::proc_stat::has_bit;
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, binary, text, until_undisturbed, wait_status, wait_until,
+    Daemon, Place, Program, STALL_TOLERANT, binary, text, until_undisturbed, wait_status,
+    wait_until,
 };
 use rustix::process::Signal;
 
@@ -182,7 +183,7 @@ fn every_example_works_as_typed() {
 }
 
 fn run_all<'a>(examples: impl Iterator<Item = &'a String>) {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let folder = daemon.place().folder();
     fs::create_dir(folder.join("configs")).unwrap();
     for (from, file) in [

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, FeedReport, Line};
 use cdcr_shared_types::codes::{LeaseState, Outcome};
-use cdcr_tests::{Daemon, PATIENT, paper_line, tracked, wait_status};
+use cdcr_tests::{Daemon, STALL_TOLERANT, paper_line, tracked, wait_status};
 
 fn feed(connection: &Connection, line: &Line, track: bool) -> Result<FeedReport, FeedError> {
     let options = FeedOptions { track, ..tracked() };
@@ -16,7 +16,7 @@ fn feed(connection: &Connection, line: &Line, track: bool) -> Result<FeedReport,
 
 #[test]
 fn a_refused_chunk_ends_the_feed_with_the_reason_and_the_point() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let reachable = paper_line(0.3);
     let beyond = Line {

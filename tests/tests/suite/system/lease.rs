@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::{RequestError, monotonic_ns};
 use cdcr_shared_types::ReferencePoint;
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Interpolation, Outcome};
-use cdcr_tests::{Daemon, PATIENT, TIMEOUT, wait_status};
+use cdcr_tests::{Daemon, STALL_TOLERANT, TIMEOUT, wait_status};
 
 /// The same point repeatedly, from `lead` after now, 0.3 s apart.
 fn points(lead: Duration, count: u64) -> Vec<ReferencePoint> {
@@ -21,7 +21,7 @@ fn points(lead: Duration, count: u64) -> Vec<ReferencePoint> {
 
 #[test]
 fn two_clients_one_lease() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let (first, second) = (daemon.connect(), daemon.connect());
     let asked = Instant::now();
     let lease = first.acquire_lease_within(TIMEOUT).unwrap();

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use cdcr_client::{ConnectError, Connection};
-use cdcr_tests::{Daemon, PATIENT, ROBOT, wait_status};
+use cdcr_tests::{Daemon, ROBOT, STALL_TOLERANT, wait_status};
 use rustix::process::Signal;
 
 use crate::soak::files_below;
@@ -11,7 +11,7 @@ use crate::soak::files_below;
 #[test]
 fn a_clean_end_leaves_nothing_behind() {
     for signal in [Signal::TERM, Signal::INT] {
-        let mut daemon = Daemon::start(PATIENT);
+        let mut daemon = Daemon::start(STALL_TOLERANT);
         let connection = daemon.connect();
         wait_status(&connection, |status| status.cycles > 5);
         assert!(!daemon.place().memory_files().is_empty());
@@ -26,7 +26,7 @@ fn a_clean_end_leaves_nothing_behind() {
 
 #[test]
 fn a_dead_daemon_counts_as_none() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     daemon.kill();
     let error = Connection::open(daemon.place().location(), ROBOT).expect_err("it is dead");
     assert!(

@@ -6,7 +6,7 @@ use cdcr_client::{FeedEnd, FeedEvent, Spiral};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, ReferenceState, RequestKind};
 use cdcr_tests::record::largest;
-use cdcr_tests::{Daemon, PATIENT, ask_for, refused, tracked, wait_mode, wait_record};
+use cdcr_tests::{Daemon, STALL_TOLERANT, ask_for, refused, tracked, wait_mode, wait_record};
 
 fn is_at_rest(record: &Telemetry) -> bool {
     largest(&record.command.bend_rate_rad_s) == 0.0
@@ -15,7 +15,7 @@ fn is_at_rest(record: &Telemetry) -> bool {
 #[test]
 fn feed_track_hold_stop_reset() {
     // Ideal, because the measured position at rest is compared to the bit.
-    let daemon = Daemon::ideal(PATIENT);
+    let daemon = Daemon::ideal(STALL_TOLERANT);
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     assert_eq!(refused(&connection, RequestKind::Track), Outcome::NoLease);

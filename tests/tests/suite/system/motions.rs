@@ -7,7 +7,8 @@ use cdcr_controller::robot::{BendRates, Configuration};
 use cdcr_shared_types::codes::{Mode, Reason};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{
-    Daemon, PATIENT, assert_output, text, until_undisturbed, wait_mode, wait_record, wait_until,
+    Daemon, STALL_TOLERANT, assert_output, text, until_undisturbed, wait_mode, wait_record,
+    wait_until,
 };
 use rustix::process::Signal;
 
@@ -50,7 +51,7 @@ fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
 
 #[test]
 fn the_tip_goes_to_a_point_and_by_so_much_and_nothing_moves_that_cannot_be_reached() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let start_m = tip_m(&daemon);
     let [near, away] = ["goto 0.05,0.02,0.87 --dry-run", "goto 0.5,0.5,0.5"];
     assert!(checked(&daemon, near, 0).contains("nothing moved; the ideal robot would need"));
@@ -84,7 +85,7 @@ fn the_tip_goes_to_a_point_and_by_so_much_and_nothing_moves_that_cannot_be_reach
 
 #[test]
 fn a_curve_and_a_file_are_changed_before_they_are_sent() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let rows = "t_s,x_m,y_m,z_m\n0,0.1,0,0.85\n0.2,0.1,0.01,0.85\n0.8,0.1,0.05,0.85\n";
     daemon.place().write("path.csv", rows);
     checked(&daemon, "goto 0.1,0,0.85 --speed 0.2 --acceleration 2", 0);
@@ -112,7 +113,7 @@ fn a_curve_and_a_file_are_changed_before_they_are_sent() {
 
 #[test]
 fn a_reference_is_tried_without_moving_and_its_approach_is_reported_separately() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let reachable = checked(&daemon, "ref spiral --dry-run", 0);
     for word in [
         "first point",
@@ -176,7 +177,7 @@ fn output_and_speed(daemon: &Daemon, line: &str) -> (String, f64) {
 #[test]
 fn a_curve_begins_without_a_jump_where_the_tip_is_brought_to_its_first_point() {
     // With immediate tracking, it moves at its largest rates.
-    let daemon = Daemon::ideal(PATIENT);
+    let daemon = Daemon::ideal(STALL_TOLERANT);
     let curve = "ref line --start 0.1,0,0.85 --velocity 0,0.03,0 --duration 300ms --track";
     let (_, jumps_m_s) = output_and_speed(&daemon, &format!("{curve} --max-error 1m"));
     // For a path at 0.05 m/s; after a stall of the machine, the tip catches up.
@@ -192,7 +193,7 @@ fn a_curve_begins_without_a_jump_where_the_tip_is_brought_to_its_first_point() {
 
 #[test]
 fn a_daemon_that_simulates_its_robot_itself_has_no_place_for_another() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     assert!(checked(&daemon, "plant", 1).contains("already measured"));
     let printed = checked(&daemon, "plant --force", 1);
     assert!(printed.contains("link.kind"), "{printed}");
@@ -202,7 +203,7 @@ fn a_daemon_that_simulates_its_robot_itself_has_no_place_for_another() {
 fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
     for (interface, preset) in [("position", "sloppy"), ("velocity", "laboratory")] {
         let daemon = Daemon::start(&format!(
-            "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n"
+            "{STALL_TOLERANT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n"
         ));
         let line = format!("cdcrctl plant --tip 100 --preset {preset}");
         let mut plant = daemon.place().start(&line);
@@ -227,7 +228,7 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
 #[test]
 fn a_simulated_robot_may_be_another_one_than_is_configured() {
     let daemon = Daemon::start(&format!(
-        "{PATIENT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n"
+        "{STALL_TOLERANT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n"
     ));
     let refused = checked(&daemon, "plant --section 0.31,0.0125,0", 1);
     assert!(refused.contains("1 section given"), "{refused}");
@@ -247,7 +248,7 @@ fn a_simulated_robot_may_be_another_one_than_is_configured() {
 #[test]
 fn a_simulated_robot_that_follows_nothing_is_reported_once() {
     let daemon = Daemon::start(&format!(
-        "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"position\"\nmeasurement_timeout_ms = 300.0\n"
+        "{STALL_TOLERANT}[link]\nkind = \"driver\"\ninterface = \"position\"\nmeasurement_timeout_ms = 300.0\n"
     ));
     let mut telemetry = daemon.connect().telemetry().unwrap();
     let robot = daemon.place().start("cdcrctl plant");
@@ -280,7 +281,7 @@ fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
     // Homing takes 60 s.
     let bent = "[link]\ninitial_bend_rad = [[1.2, 0.0], [1.2, 0.0], [1.2, 0.0]]\n";
     let slow = "[motion]\nhome_rate_rad_s = 0.02\n";
-    let daemon = Daemon::start(&format!("{PATIENT}{bent}{slow}"));
+    let daemon = Daemon::start(&format!("{STALL_TOLERANT}{bent}{slow}"));
     checked(&daemon, "home", 0);
     let refused = checked(&daemon, "jog 0.01,0,0.01 --max-error 10mm", 1);
     let reason = "the tip moves, or has moved while the path was computed; nothing was sent";
@@ -291,7 +292,7 @@ fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
 
 #[test]
 fn a_way_beside_another_clients_reference_is_refused_by_its_lease() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let reason = "cannot acquire the lease: another client holds the reference lease (the daemon is tracking). Stop the other client";
     // After a stall, the daemon holds, and the other client ends or loses its lease.
     until_undisturbed("another client feeds", || {
@@ -320,7 +321,7 @@ fn a_way_beside_another_clients_reference_is_refused_by_its_lease() {
 /// All points are in reach, but not at once.
 #[test]
 fn a_reference_with_an_outlier_is_refused_before_anything_moves() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let row = |k: usize| {
         let (time_s, x_m) = (0.05 * k as f64, if k == 40 { -0.1 } else { 0.1 });
         format!("{time_s},{x_m},{},0.85\n", 0.001 * k as f64)
@@ -347,7 +348,7 @@ fn a_reference_with_an_outlier_is_refused_before_anything_moves() {
 
 #[test]
 fn a_reference_that_ends_before_it_is_reached_is_an_error() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     // 0.4 m away, at 0.1 m/s at most.
     let far = "ref line --start 0.35,0,0.7 --duration 500ms --lead 1s --track";
     let output = daemon.place().start(&format!("cdcrctl {far}")).output();
@@ -358,7 +359,7 @@ fn a_reference_that_ends_before_it_is_reached_is_an_error() {
 #[test]
 fn obstacles_are_where_they_will_be_when_a_reference_is_tried() {
     let clearance_mm = |velocity: &str| {
-        let daemon = Daemon::start(PATIENT);
+        let daemon = Daemon::start(STALL_TOLERANT);
         let ball =
             format!("obstacle add --id 1 --at 0.3,0,0.4 --radius 0.02 --velocity {velocity}");
         checked(&daemon, &ball, 0);
@@ -376,7 +377,7 @@ fn obstacles_are_where_they_will_be_when_a_reference_is_tried() {
 #[test]
 fn a_daemon_that_is_stopped_before_its_first_measurement_waits_for_one() {
     let driver = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\n";
-    let daemon = Daemon::start(&format!("{PATIENT}{driver}"));
+    let daemon = Daemon::start(&format!("{STALL_TOLERANT}{driver}"));
     checked(&daemon, "stop", 0);
     let refused = checked(&daemon, "reset", 1);
     assert!(refused.contains("its line reset"), "{refused}");
@@ -397,7 +398,7 @@ fn a_daemon_that_is_stopped_before_its_first_measurement_waits_for_one() {
 #[test]
 fn a_simulated_robot_is_refused_beside_a_driver() {
     let driver = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\n";
-    let daemon = Daemon::start(&format!("{PATIENT}{driver}"));
+    let daemon = Daemon::start(&format!("{STALL_TOLERANT}{driver}"));
     let _driver = DriverProcess::start(daemon.place());
     let mut telemetry = daemon.connect().telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
@@ -415,7 +416,9 @@ fn a_simulated_robot_is_refused_beside_a_driver() {
 /// Commands that would leave the tip behind are refused before anything moves; slower ones and the way home keep the limit.
 #[test]
 fn a_speed_above_the_limit_of_the_tip_is_refused_with_the_limit_and_home_keeps_it() {
-    let daemon = Daemon::start(&format!("{PATIENT}[robot]\ntip_speed_max_m_s = 0.1\n"));
+    let daemon = Daemon::start(&format!(
+        "{STALL_TOLERANT}[robot]\ntip_speed_max_m_s = 0.1\n"
+    ));
     let limit = "at this --speed a section end is at its limit, robot.tip_speed_max_m_s = 0.1";
     let refused = checked(
         &daemon,

@@ -5,7 +5,9 @@ use std::ops::ControlFlow;
 use cdcr_client::{Connection, FeedEvent, Line, ObstacleSender, TelemetryStream};
 use cdcr_shared_types::codes::{Mode, RequestKind, guard};
 use cdcr_shared_types::{Obstacle, Telemetry};
-use cdcr_tests::{Daemon, PATIENT, ask_for, ball, tracked, wait_mode, wait_record, wait_status};
+use cdcr_tests::{
+    Daemon, STALL_TOLERANT, ask_for, ball, tracked, wait_mode, wait_record, wait_status,
+};
 
 /// The safe distance of the default configuration.
 const SAFE_DISTANCE_M: f64 = 0.01;
@@ -86,7 +88,7 @@ fn track_line(connection: &Connection, watch: &mut Watch) {
 /// While the machine stalls, the rates are constant and may move the body into an obstacle. The records are
 /// checked for that, and it must not end the test.
 fn bearing_contact() -> String {
-    format!("{PATIENT}[safety]\nclearance_fault_m = -1.0\n")
+    format!("{STALL_TOLERANT}[safety]\nclearance_fault_m = -1.0\n")
 }
 
 /// Tracks towards an obstacle. Returns the number of interventions of the guard.

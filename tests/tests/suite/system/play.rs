@@ -6,7 +6,8 @@ use cdcr_client::{Connection, Spiral};
 use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, TIMEOUT, ask_for, assert_output, ball, text, track, wait_record, wait_status,
+    Daemon, STALL_TOLERANT, TIMEOUT, ask_for, assert_output, ball, text, track, wait_record,
+    wait_status,
 };
 use rustix::process::Signal;
 
@@ -43,7 +44,7 @@ pub(super) fn record_beside(
 
 /// Such a recording, and its daemon, at rest at another position.
 fn recorded() -> (Daemon, PathBuf) {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let file = record_beside(&daemon, 7, [0.4, 0.0, 0.5], |_| ());
     let place = daemon.place();
     place.checked("cdcrctl obstacle clear", 0, &[]);
@@ -106,7 +107,7 @@ fn what_cannot_be_fed_again_is_refused_before_anything_moves() {
     let place = daemon.place();
     let section = "[[robot.sections]]\nlength_m = 0.31\ncable_radius_m = 0.0125\ncable_offset_rad = 0.0\n\
                    bend_max_rad = 2.8\nrate_max_rad_s = 2.0\nbody_radius_m = 0.015\n";
-    let other = Daemon::start(&format!("{PATIENT}{section}"));
+    let other = Daemon::start(&format!("{STALL_TOLERANT}{section}"));
     let play = format!("cdcrctl replay {}", file.display());
     other.place().checked(&play, 1, &["another robot"]);
     place.write("empty.mcap", "");

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_output, text, wait_status, wait_until,
+    Daemon, Place, Program, ROBOT, STALL_TOLERANT, TIMEOUT, assert_output, text, wait_status,
+    wait_until,
 };
 use rustix::process::Signal;
 use serde_json::Value;
@@ -32,7 +33,7 @@ fn status(place: &Place) -> Value {
 #[test]
 fn a_reference_is_fed_tracked_and_played_to_its_end() {
     // Ideal: the tip is at the begin of the line, so that no approach is needed.
-    let daemon = Daemon::ideal(PATIENT);
+    let daemon = Daemon::ideal(STALL_TOLERANT);
     let place = daemon.place();
     let line = format!("{SHORT_LINE} --axis 0,0,1 --track");
     let output = start(place, &line).output();
@@ -54,7 +55,7 @@ fn a_reference_is_fed_tracked_and_played_to_its_end() {
 #[test]
 fn obstacles_are_added_shown_and_removed() {
     // Ideal, because the clearance is compared exactly.
-    let daemon = Daemon::ideal(PATIENT);
+    let daemon = Daemon::ideal(STALL_TOLERANT);
     let place = daemon.place();
     let checked = |line: &str, part: &str| {
         place.checked(&format!("cdcrctl obstacle {line}"), 0, &[part]);
@@ -81,7 +82,7 @@ fn obstacles_are_added_shown_and_removed() {
 
 #[test]
 fn whoever_leaves_last_leaves_nothing() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     good(daemon.place(), "status");
     let connection = daemon.connect();
     let telemetry = connection.telemetry().unwrap();
@@ -96,7 +97,7 @@ fn whoever_leaves_last_leaves_nothing() {
 
 #[test]
 fn every_request_is_answered() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     for (request, mode) in [
         ("hold", "holding"),
@@ -113,7 +114,7 @@ fn every_request_is_answered() {
 
 #[test]
 fn track_follows_what_another_program_feeds_until_sigint_holds() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     let connection = daemon.connect();
     let mut feeding = start(place, LONG_LINE);
@@ -139,7 +140,7 @@ fn track_follows_what_another_program_feeds_until_sigint_holds() {
 
 #[test]
 fn sigint_and_sigterm_during_a_tracked_feed_hold_and_exit_with_130() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     for signal in [Signal::INT, Signal::TERM] {
         let mut feeding = start(daemon.place(), &format!("{LONG_LINE} --track"));
@@ -155,7 +156,9 @@ fn sigint_and_sigterm_during_a_tracked_feed_hold_and_exit_with_130() {
 
 #[test]
 fn the_status_is_shown_as_text_and_as_json() {
-    let daemon = Daemon::start(&format!("{PATIENT}[robot]\ncable_speed_max_m_s = 0.25\n"));
+    let daemon = Daemon::start(&format!(
+        "{STALL_TOLERANT}[robot]\ncable_speed_max_m_s = 0.25\n"
+    ));
     let table = good(daemon.place(), "status");
     for part in [
         "robot       cdcr (3 sections",
@@ -179,7 +182,7 @@ fn the_status_is_shown_as_text_and_as_json() {
 
 #[test]
 fn the_statistics_are_reset_for_all_and_the_stop_stays() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     good(place, "stop");
     let before = status(place);
@@ -195,7 +198,7 @@ fn the_statistics_are_reset_for_all_and_the_stop_stays() {
 
 #[test]
 fn a_watched_status_is_shown_again_and_again() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let mut watch = start(daemon.place(), "status --watch --format json");
     wait_until("two of them", || watch.lines() > 1);
     watch.signal(Signal::INT);
@@ -214,7 +217,7 @@ const FROZEN: Duration = Duration::from_millis(100);
 
 #[test]
 fn bad_cycles_are_kept_for_whoever_asks_later() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     // Only incidents that the daemon kept, at most the newest.
     let frozen = |line: &str| {
@@ -262,7 +265,7 @@ fn bad_cycles_are_kept_for_whoever_asks_later() {
 
 #[test]
 fn settings_are_shown_and_changed_by_their_keys() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     let shown = || place.json("settings show");
     let before = shown();
@@ -323,7 +326,7 @@ fn echo(place: &Place, topic: &str, format: &str, speak: &dyn Fn()) -> Vec<Strin
 
 #[test]
 fn every_topic_is_echoed_as_text_and_as_json() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     let connection = daemon.connect();
     let obstacles = connection.obstacle_sender().unwrap();

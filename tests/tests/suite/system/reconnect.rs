@@ -18,8 +18,8 @@ use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind};
 use cdcr_tests::load::connect;
 use cdcr_tests::{
-    EndWhenDropped, PATIENT, Place, ROBOT, Running, TIMEOUT, ask_for, ball, paper_line, tracked,
-    wait_record, wait_status, wait_until,
+    EndWhenDropped, Place, ROBOT, Running, STALL_TOLERANT, TIMEOUT, ask_for, ball, paper_line,
+    tracked, wait_record, wait_status, wait_until,
 };
 use rustix::process::Signal;
 
@@ -144,14 +144,14 @@ fn keep_asking(connection: &Connection, over: &AtomicBool, answered: &AtomicU64)
 
 #[test]
 fn fifty_kills_at_any_moment() {
-    let place = place(PATIENT);
+    let place = place(STALL_TOLERANT);
     let _log = LogOfFailure(&place);
     let mut dice = Dice::new(1);
     let mut daemon = begin(&place);
     let connection = connect(&place);
     let mut old = Old::new(&connection);
     old.wait_mode(Mode::Holding, 0);
-    let unharmed = self::place(PATIENT);
+    let unharmed = self::place(STALL_TOLERANT);
     let mut beside = begin(&unharmed);
     let beside_connection = connect(&unharmed);
     let mut beside_old = Old::new(&beside_connection);
@@ -210,7 +210,7 @@ fn a_feeder_gets_an_error_and_feeds_again_on_the_same_connection() {
 
 /// False if the start took so long that the feeder detected silence.
 fn sees_the_restart_and_feeds_again() -> bool {
-    let place = place(PATIENT);
+    let place = place(STALL_TOLERANT);
     let mut daemon = Some(begin(&place));
     let connection = connect(&place);
     let line = paper_line(0.3);
@@ -258,7 +258,7 @@ fn sees_the_restart_and_feeds_again() -> bool {
 
 #[test]
 fn a_lease_ends_with_its_daemon_and_an_old_one_does_not_take_a_new_one_along() {
-    let place = place(PATIENT);
+    let place = place(STALL_TOLERANT);
     let daemon = begin(&place);
     let connection = connect(&place);
     let first = connection.acquire_lease_within(TIMEOUT).unwrap();
@@ -289,7 +289,7 @@ fn a_lease_ends_with_its_daemon_and_an_old_one_does_not_take_a_new_one_along() {
 
 #[test]
 fn a_stop_reaches_the_next_daemon_or_is_reported_as_lost() {
-    let place = place(PATIENT);
+    let place = place(STALL_TOLERANT);
     let daemon = begin(&place);
     let connection = connect(&place);
     let mut old = Old::new(&connection);
@@ -315,7 +315,7 @@ fn a_stop_reaches_the_next_daemon_or_is_reported_as_lost() {
 
 #[test]
 fn a_stop_that_comes_while_no_daemon_runs_stops_the_one_that_is_just_started_again() {
-    let place = place(PATIENT);
+    let place = place(STALL_TOLERANT);
     drop(begin(&place));
     let next = thread::scope(|scope| {
         let next = scope.spawn(|| {
@@ -367,7 +367,7 @@ fn drive(
 #[test]
 fn a_driver_serves_every_daemon() {
     let link = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n";
-    let place = place(&format!("{PATIENT}{link}"));
+    let place = place(&format!("{STALL_TOLERANT}{link}"));
     let mut daemon = Some(begin(&place));
     let connection = connect(&place);
     let mut old = Old::new(&connection);
@@ -394,7 +394,7 @@ fn a_driver_serves_every_daemon() {
 
 #[test]
 fn kills_in_the_middle_of_the_start_leave_nothing_that_hinders_the_next_one() {
-    let place = place(PATIENT);
+    let place = place(STALL_TOLERANT);
     let _log = LogOfFailure(&place);
     let mut dice = Dice::new(2);
     let mut starts = Vec::new();

@@ -17,7 +17,7 @@ use cdcr_interchange::mcap::{Channel, Item, Reader, Stamp, Writer};
 use cdcr_interchange::{decode, encode};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::EventKind;
-use cdcr_tests::{PATIENT, Place, TIMEOUT, assert_output, ball, track, until_undisturbed};
+use cdcr_tests::{Place, STALL_TOLERANT, TIMEOUT, assert_output, ball, track, until_undisturbed};
 use rustix::process::Signal;
 
 use recorded::Recorded;
@@ -52,7 +52,7 @@ fn know_an_obstacle(connection: &Connection) -> ObstacleSender {
 #[test]
 fn a_recording_has_every_cycle_and_what_clients_sent() {
     let (run, records, reported) = until_undisturbed("a recorder reads in time", || {
-        let mut run = Recorded::start(PATIENT);
+        let mut run = Recorded::start(STALL_TOLERANT);
         let connection = run.daemon.connect();
         let _sender = know_an_obstacle(&connection);
         let records = track(&connection, &curve());
@@ -134,7 +134,7 @@ fn a_recording_has_every_cycle_and_what_clients_sent() {
 
 #[test]
 fn a_recording_ends_with_its_daemon() {
-    let mut run = Recorded::start(PATIENT);
+    let mut run = Recorded::start(STALL_TOLERANT);
     run.daemon.stop();
     assert_output(&run.recorder.output(), 0, &["the daemon ended"]);
     assert_eq!(run.info()["cut"], false);
@@ -142,7 +142,7 @@ fn a_recording_ends_with_its_daemon() {
 
 #[test]
 fn of_a_recorder_that_is_killed_the_last_second_is_missing_at_most() {
-    let mut run = Recorded::start(PATIENT);
+    let mut run = Recorded::start(STALL_TOLERANT);
     let mut telemetry = run.daemon.connect().telemetry().unwrap();
     let begin = telemetry.next_within(TIMEOUT).unwrap().unwrap();
     let newest = loop {
@@ -212,7 +212,7 @@ fn rewrite(
 /// A recording of a tracked curve in a new place. Made once: those who read it need no daemon.
 fn tracked_curve() -> (Place, PathBuf) {
     static MADE: LazyLock<Vec<u8>> = LazyLock::new(|| {
-        let mut run = Recorded::start(PATIENT);
+        let mut run = Recorded::start(STALL_TOLERANT);
         track(&run.daemon.connect(), &curve());
         run.end();
         fs::read(&run.file).unwrap()

@@ -18,7 +18,7 @@ use cdcr_shared_types::{ReferenceChunk, Telemetry};
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, EndWhenDropped, PATIENT, TIMEOUT, ball, paper_line, tracked, until_undisturbed,
+    Daemon, EndWhenDropped, STALL_TOLERANT, TIMEOUT, ball, paper_line, tracked, until_undisturbed,
     wait_mode,
 };
 
@@ -156,7 +156,7 @@ fn in_the_way() -> [cdcr_shared_types::Obstacle; 2] {
 
 #[test]
 fn a_bit_that_is_wrong_is_found_and_a_missing_record_makes_no_other_wrong() {
-    let recording = Recording::make(PATIENT, &[], &spiral());
+    let recording = Recording::make(STALL_TOLERANT, &[], &spiral());
     let first = recording.records.iter().position(solves).unwrap();
     // A record whose loss makes only some of the later cycles unknown: while the machine stalls, a client may
     // send many chunks at once.
@@ -206,7 +206,7 @@ fn a_bit_that_is_wrong_is_found_and_a_missing_record_makes_no_other_wrong() {
 
 #[test]
 fn cycles_that_the_guard_changed_are_computed_again_bit_for_bit() {
-    let configuration = format!("{PATIENT}{BLIND}{CONTACT}");
+    let configuration = format!("{STALL_TOLERANT}{BLIND}{CONTACT}");
     let line = Line::for_sections(&[0.3; 3]);
     let replayed = Recording::make(&configuration, &in_the_way(), &line).replay();
     assert!(replayed.guarded > 10, "{replayed:?}");
@@ -215,7 +215,7 @@ fn cycles_that_the_guard_changed_are_computed_again_bit_for_bit() {
 #[test]
 fn cycles_that_the_play_of_cables_changed_are_computed_again_bit_for_bit() {
     let play = "[actuator]\nplay_m = 1.5e-3\n";
-    let configuration = format!("{PATIENT}{BLIND}{CONTACT}{play}");
+    let configuration = format!("{STALL_TOLERANT}{BLIND}{CONTACT}{play}");
     let line = Line::for_sections(&[0.3; 3]);
     let recording = Recording::make(&configuration, &in_the_way(), &line);
     let replayed = recording.replay();
@@ -225,7 +225,7 @@ fn cycles_that_the_play_of_cables_changed_are_computed_again_bit_for_bit() {
 #[test]
 fn cycles_of_a_robot_that_obeys_positions_are_computed_again_bit_for_bit() {
     let positions = "[link]\ninterface = \"position\"\n[motion]\napproach = \"direct\"\nacceleration_rad_s2 = 15.0\n";
-    let recording = Recording::make(&format!("{PATIENT}{positions}"), &[], &spiral());
+    let recording = Recording::make(&format!("{STALL_TOLERANT}{positions}"), &[], &spiral());
     recording.replay();
     // The plan grows as fast as allowed.
     let grows = |pair: &[Telemetry]| {
@@ -241,7 +241,7 @@ fn cycles_of_a_robot_that_obeys_positions_are_computed_again_bit_for_bit() {
 fn cycles_of_a_robot_whose_motors_lag_and_cables_have_play_are_computed_again_bit_for_bit() {
     let lagging =
         "[link]\nsimulated = \"sloppy\"\n[actuator]\ntime_constant_ms = 20.0\nplay_m = 3e-4\n";
-    let recording = Recording::make(&format!("{PATIENT}{lagging}"), &[], &spiral());
+    let recording = Recording::make(&format!("{STALL_TOLERANT}{lagging}"), &[], &spiral());
     let is_led = |record: &Telemetry| {
         record.reference_lead_ns == 20_000_000 && record.present_rad != record.bend_rad
     };
@@ -257,7 +257,7 @@ fn cycles_of_a_robot_whose_motors_lag_and_cables_have_play_are_computed_again_bi
 fn cycles_of_a_robot_whose_tip_is_beside_its_bends_are_computed_again_bit_for_bit() {
     // On a stalled machine the driver does not follow in time.
     let driver = "following_fault_rad = 100.0\n[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n";
-    let daemon = Daemon::start(&format!("{PATIENT}{BLIND}{CONTACT}{driver}"));
+    let daemon = Daemon::start(&format!("{STALL_TOLERANT}{BLIND}{CONTACT}{driver}"));
     let ends = AtomicBool::new(false);
     let drive = || {
         let longer = Flaws {
@@ -295,7 +295,7 @@ fn cycles_of_a_robot_whose_tip_is_beside_its_bends_are_computed_again_bit_for_bi
 fn a_reference_above_the_speed_limit_is_followed_at_the_limit_and_replayed() {
     const LIMIT_M_S: f64 = 0.05;
     let configuration = format!(
-        "{PATIENT}[robot]\ntip_speed_max_m_s = {LIMIT_M_S}\n[link]\nsimulated = \"laboratory\"\n"
+        "{STALL_TOLERANT}[robot]\ntip_speed_max_m_s = {LIMIT_M_S}\n[link]\nsimulated = \"laboratory\"\n"
     );
     let line = Line {
         velocity_m_s: [0.28, 0.0, -0.1],

@@ -6,14 +6,14 @@ use std::process::Command;
 
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENT, Program, refused};
+use cdcr_tests::{Daemon, Program, STALL_TOLERANT, refused};
 use serde_json::Value;
 
 use super::play::record_beside;
 
 /// A recording of a robot of the laboratory that tracks beside an obstacle, and its page.
 fn page() -> (Daemon, String) {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     record_beside(&daemon, 1, [0.3, 0.0, 0.5], |connection| {
         // Rejected: no client feeds.
         refused(connection, RequestKind::Track);

@@ -6,7 +6,7 @@ use std::net::UdpSocket;
 use std::process::{Child, Output, Stdio};
 use std::time::Duration;
 
-use cdcr_tests::{Daemon, PATIENT, TIMEOUT, assert_output, wait_status};
+use cdcr_tests::{Daemon, STALL_TOLERANT, TIMEOUT, assert_output, wait_status};
 use serde_json::Value;
 
 use super::freeze;
@@ -36,7 +36,7 @@ fn checked(daemon: &Daemon, line: &str, status: i32, part: &str) -> String {
 
 #[test]
 fn figures_are_tried_and_followed() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     for figure in [
         "helix --turns 1 --rise 0.02 --repeat 2",
         "lissajous --ratio 1:2 --plane xz",
@@ -79,7 +79,7 @@ fn figures_are_tried_and_followed() {
 
 #[test]
 fn a_scene_is_played_from_a_file() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     let ball = r#""start_m": [0.5, 0, 0.5], "radius_m": 0.02"#;
     let scene = format!(
@@ -112,7 +112,7 @@ fn a_scene_is_played_from_a_file() {
 
 #[test]
 fn obstacles_are_taken_as_a_program_writes_them() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let mut camera = piped(&daemon, "obstacle stdin");
     for id in 1..=3_u32 {
@@ -171,7 +171,7 @@ fn rate_hz(line: &str) -> f64 {
 
 #[test]
 fn a_daemon_that_stood_still_is_not_counted_as_silent() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let mut hz = piped(&daemon, "hz status --count 1");
     let mut lines = BufReader::new(hz.stdout.take().unwrap()).lines();
     lines.next().unwrap().unwrap();
@@ -189,7 +189,7 @@ fn a_daemon_that_stood_still_is_not_counted_as_silent() {
 
 #[test]
 fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let printed = checked(&daemon, "hz status --count 1", 0, "messages/s");
     assert!(rate_hz(printed.lines().nth(1).unwrap()) > 0.0, "{printed}");
 

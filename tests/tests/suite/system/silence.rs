@@ -9,8 +9,8 @@ use cdcr_client::{
 };
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, ROBOT, TIMEOUT, assert_output, text, tracked, until_undisturbed, wait_status,
-    wait_until,
+    Daemon, ROBOT, STALL_TOLERANT, TIMEOUT, assert_output, text, tracked, until_undisturbed,
+    wait_status, wait_until,
 };
 use rustix::process::Signal;
 
@@ -44,7 +44,7 @@ fn feed_until_silence(daemon: &Daemon, connection: &Connection) -> FeedError {
 
 #[test]
 fn a_stopped_daemon_is_noticed_everywhere_and_works_again() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let location = daemon.place().location();
     let error = feed_until_silence(&daemon, &connection);
@@ -94,7 +94,7 @@ fn a_stopped_daemon_is_noticed_everywhere_and_works_again() {
 
 #[test]
 fn a_recording_of_a_stopped_daemon_goes_on_when_it_wakes() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let mut recorder = daemon.place().record("run.mcap");
     freeze(&daemon, Duration::from_millis(2500));
@@ -123,7 +123,7 @@ fn a_simulated_robot_goes_on_after_misses_and_the_daemon_warns() {
 
 #[test]
 fn a_request_that_a_stopped_daemon_kept_waiting_is_carried_out_when_it_wakes() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     connection.prepare_requests().unwrap();
     let stale = || {

@@ -10,7 +10,8 @@ use cdcr_shared_types::proc_stat::stat_field;
 use cdcr_shared_types::{Incident, SolverSettings, Telemetry};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
-    Daemon, PATIENT, TIMEOUT, paper_line, track, wait_mode, wait_record, wait_status, wait_until,
+    Daemon, STALL_TOLERANT, TIMEOUT, paper_line, track, wait_mode, wait_record, wait_status,
+    wait_until,
 };
 
 use super::{error_max_m, freeze};
@@ -64,7 +65,7 @@ fn periods_from_half_a_millisecond_to_a_tenth_of_a_second_keep_their_grid() {
 
 #[test]
 fn a_budget_that_changes_while_it_tracks_ends_solves_and_never_worsens_the_plan() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let (connection, feeding) = (daemon.connect(), daemon.connect());
     let settings = connection.status(TIMEOUT).unwrap().settings;
     assert_eq!(settings.budget_ns, 0);
@@ -121,7 +122,7 @@ const STALLS_MAX: usize = 20;
 
 #[test]
 fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
@@ -192,7 +193,9 @@ fn the_newest_bad_cycles_are_kept_and_older_ones_go() {
 fn a_thread_that_spins_starts_more_punctually() {
     // Of the most punctual tenth: the others depend on the load of the machine.
     let wake_ns = |spin_us: f64| {
-        let daemon = Daemon::start(&format!("[realtime]\nspin_us = {spin_us}\n{PATIENT}"));
+        let daemon = Daemon::start(&format!(
+            "[realtime]\nspin_us = {spin_us}\n{STALL_TOLERANT}"
+        ));
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
         let mut wakes_ns = Vec::new();
@@ -220,7 +223,7 @@ fn policy_and_priority(stat: &str) -> (u32, u32) {
 fn every_thread_runs_before_those_that_may_wait() {
     const SCHED_OTHER: u32 = 0;
     const SCHED_FIFO: u32 = 1;
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let status = daemon.connect().status(TIMEOUT).unwrap();
     if status.realtime_missing & realtime::FIFO != 0 {
         skip(Need::Realtime, "the daemon is not granted SCHED_FIFO");

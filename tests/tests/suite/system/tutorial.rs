@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use cdcr_client::Connection;
-use cdcr_tests::{Daemon, PATIENT, Place, ROBOT, text, until_undisturbed, wait_until};
+use cdcr_tests::{Daemon, Place, ROBOT, STALL_TOLERANT, text, until_undisturbed, wait_until};
 use rustix::process::Signal;
 
 use super::examples::shell;
@@ -42,7 +42,7 @@ fn the_session_of_the_readme_works_as_typed() {
 }
 
 fn type_the_session() -> Option<String> {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     fs::create_dir(place.folder().join("configs")).unwrap();
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/scene.json");

@@ -8,7 +8,7 @@ use cdcr_client::channels::{Drawn, Topic};
 use cdcr_interchange::standard::{MarkerArray, PoseStamped};
 use cdcr_interchange::{cdr, decode, mcap};
 use cdcr_shared_types::Telemetry;
-use cdcr_tests::{Daemon, PATIENT, Program, TIMEOUT, assert_output, wait_until};
+use cdcr_tests::{Daemon, Program, STALL_TOLERANT, TIMEOUT, assert_output, wait_until};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest;
@@ -85,7 +85,7 @@ fn next(socket: &mut WebSocket<TcpStream>, subscription: u32) -> (u64, Vec<u8>) 
 
 #[test]
 fn a_viewer_gets_the_channels_of_a_recording_and_what_they_hold() {
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let (mut view, port) = serve(&daemon);
     let mut socket = viewer(port);
     let channels = channels(&mut socket, Topic::ALL.len() + Drawn::ALL.len());
@@ -137,7 +137,7 @@ fn a_viewer_gets_the_channels_of_a_recording_and_what_they_hold() {
 
 #[test]
 fn what_it_was_too_slow_for_is_reported() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let (mut view, port) = serve(&daemon);
     let mut socket = viewer(port);
     let channels = channels(&mut socket, Topic::ALL.len() + Drawn::ALL.len());
@@ -162,7 +162,7 @@ fn what_it_was_too_slow_for_is_reported() {
 
 #[test]
 fn a_port_that_is_taken_is_named() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let (_view, port) = serve(&daemon);
     let line = format!("cdcr-view --port {port}");
     let says = ["error: cannot listen on 127.0.0.1", "--port names another"];

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use cdcr_shared_types::Location;
-use cdcr_tests::{PATIENT, Place, Program, assert_output, binary, text, wait_until};
+use cdcr_tests::{Place, Program, STALL_TOLERANT, assert_output, binary, text, wait_until};
 use rustix::fs::{XattrFlags, getxattr, setxattr};
 use rustix::process::Signal;
 
@@ -63,7 +63,7 @@ impl Shared {
     }
 
     fn daemon(&self, root: &Path, group: &str) -> Command {
-        let text = format!("{PATIENT}[transport]\ngroup = \"{group}\"\n");
+        let text = format!("{STALL_TOLERANT}[transport]\ngroup = \"{group}\"\n");
         let config = self.place.write(&format!("robot{group}.toml"), &text);
         fs::set_permissions(&config, Permissions::from_mode(0o644)).unwrap();
         let mut command = of_stranger(&self.cdcrd, self.place.location().prefix(), root);

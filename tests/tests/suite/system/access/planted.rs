@@ -12,8 +12,8 @@ use cdcr_client::Connection;
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::{Location, NameHolder};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_output, binary, in_public_memory, text,
-    wait_status, wait_until,
+    Daemon, Place, Program, ROBOT, STALL_TOLERANT, TIMEOUT, assert_output, binary,
+    in_public_memory, text, wait_status, wait_until,
 };
 use rustix::process::{Signal, Uid};
 use rustix::thread::set_thread_res_uid;
@@ -110,7 +110,7 @@ fn what_another_user_puts_into_public_memory_is_nobodys_concern() {
     if !have_a_stranger() {
         return;
     }
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let _client = daemon.connect();
     let prefix = daemon.place().location().file_prefix();
     // The names used by the daemon and its clients, and the one of iceoryx2's management.
@@ -203,7 +203,7 @@ fn a_name_that_another_user_has_taken_keeps_neither_the_daemon_nor_a_stop_out() 
     if !have_a_stranger() {
         return;
     }
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     assert!(daemon.stop().success(), "{}", daemon.log());
     let location = daemon.place().location().clone();
     let _taken = listen_as_stranger(location.daemon_name(ROBOT));

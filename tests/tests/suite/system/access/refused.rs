@@ -10,8 +10,8 @@ use cdcr_shared_types::codes::{Mode, Outcome};
 use cdcr_shared_types::{Location, Status};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_output, binary, text, wait_status,
-    wait_until,
+    Daemon, Place, Program, ROBOT, STALL_TOLERANT, TIMEOUT, assert_output, binary, text,
+    wait_status, wait_until,
 };
 use rustix::process::Signal;
 
@@ -151,7 +151,7 @@ fn another_user_may_run_the_demo_beside_the_daemon() {
     if !have_a_stranger() {
         return;
     }
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     in_view(place);
     let connection = daemon.connect();
@@ -205,7 +205,7 @@ fn another_user_cannot_end_the_daemon_or_look_into_it() {
     if !have_a_stranger() {
         return;
     }
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let id = connection.status(TIMEOUT).unwrap().process_id;
     for attempt in [
@@ -246,7 +246,7 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
     if !have_a_stranger() {
         return;
     }
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     in_view(place);
     let connection = daemon.connect();
@@ -307,7 +307,7 @@ fn a_root_folder_that_is_mounted_read_only_is_reported_to_be_so() {
     if !has_own_mounts(test) {
         return;
     }
-    let mut daemon = Daemon::start(PATIENT);
+    let mut daemon = Daemon::start(STALL_TOLERANT);
     let root = daemon.place().location().root().display().to_string();
     let bind = format!("mount --bind '{root}' '{root}' && mount -o remount,ro,bind '{root}'");
     if !mount(&bind) {
@@ -332,7 +332,7 @@ fn a_root_folder_that_is_mounted_read_only_is_reported_to_be_so() {
 /// Every message would be stamped in the future, and every status be old.
 #[test]
 fn a_client_in_another_time_namespace_gets_an_error_and_can_stop_the_robot() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let client = |line: &str| {
         let mut command = daemon.place().command_of(Path::new("unshare"));
         if !rustix::process::geteuid().is_root() {

@@ -12,7 +12,9 @@ use cdcr_client::Connection;
 use cdcr_shared_types::Service;
 use cdcr_shared_types::codes::Interface;
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{PATIENT, Place, Program, ROBOT, TIMEOUT, ball, text, wait_status, wait_until};
+use cdcr_tests::{
+    Place, Program, ROBOT, STALL_TOLERANT, TIMEOUT, ball, text, wait_status, wait_until,
+};
 
 /// User and group `nobody`.
 pub(super) const NOBODY: u32 = 65_534;
@@ -123,7 +125,7 @@ pub(super) fn start(place: &Place, cdcrd: &mut Command) -> (Program, Connection)
 
 /// A daemon, with a client that has opened every kind of port, so that every kind of file exists.
 pub(super) fn busy_daemon(place: &Place) -> impl Sized {
-    let config = place.write("robot.toml", PATIENT);
+    let config = place.write("robot.toml", STALL_TOLERANT);
     let mut command = place.command("cdcrd");
     let (daemon, connection) = start(place, command.args(["run", "--config"]).arg(config));
     let obstacles = connection.obstacle_sender().unwrap();

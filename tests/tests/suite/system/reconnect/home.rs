@@ -7,7 +7,7 @@ const SLOWLY: &str = "[motion]\nhome_rate_rad_s = 0.05\n";
 /// For a bent robot that homes slowly.
 fn far_from_home() -> Place {
     let bent = "[link]\ninitial_bend_rad = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
-    place(&format!("{PATIENT}{SLOWLY}{bent}"))
+    place(&format!("{STALL_TOLERANT}{SLOWLY}{bent}"))
 }
 
 #[test]
@@ -60,7 +60,7 @@ fn a_home_whose_client_has_given_up_moves_no_next_daemon() {
 #[test]
 fn a_home_waits_until_the_next_daemon_has_heard_of_its_robot() {
     let link = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n";
-    let place = place(&format!("{PATIENT}{SLOWLY}{link}"));
+    let place = place(&format!("{STALL_TOLERANT}{SLOWLY}{link}"));
     let daemon = begin(&place);
     let connection = connect(&place);
     let mut old = Old::new(&connection);

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use cdcr_client::channels::Topic;
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENT, assert_output};
+use cdcr_tests::{Daemon, STALL_TOLERANT, assert_output};
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 
 use super::lost;
@@ -19,7 +19,7 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
     )) {
         return;
     }
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let disk = daemon.place().folder().join("disk");
     fs::create_dir(&disk).unwrap();
     let folder = disk.display();
@@ -68,7 +68,7 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
 
 #[test]
 fn a_file_at_its_limit_ends_the_recording_like_a_full_disk() {
-    let mut run = Recorded::start(PATIENT);
+    let mut run = Recorded::start(STALL_TOLERANT);
     let limit = Rlimit {
         current: Some(200_000),
         maximum: None,
@@ -82,7 +82,7 @@ fn a_file_at_its_limit_ends_the_recording_like_a_full_disk() {
 
 #[test]
 fn a_recording_whose_file_was_removed_is_an_error() {
-    let mut run = Recorded::start(PATIENT);
+    let mut run = Recorded::start(STALL_TOLERANT);
     fs::remove_file(&run.file).unwrap();
     run.recorder.signal(Signal::INT);
     let expected = ["run.mcap was removed during the recording"];
@@ -91,7 +91,7 @@ fn a_recording_whose_file_was_removed_is_an_error() {
 
 #[test]
 fn an_output_that_cannot_be_written_is_no_full_disk() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     for line in ["record --duration 500ms -o run.mcap", "status"] {
         let full = fs::File::options().write(true).open("/dev/full").unwrap();

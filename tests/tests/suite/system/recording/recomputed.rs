@@ -3,7 +3,7 @@
 use std::fs;
 
 use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_tests::{Daemon, PATIENT, TIMEOUT, assert_output, refused, text, track, wait_mode};
+use cdcr_tests::{Daemon, STALL_TOLERANT, TIMEOUT, assert_output, refused, text, track, wait_mode};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -55,7 +55,7 @@ fn every_cycle_of_a_recording_is_computed_again() {
 
 #[test]
 fn cycles_of_a_reference_from_before_the_recording_are_counted_apart() {
-    let daemon = Daemon::start(PATIENT);
+    let daemon = Daemon::start(STALL_TOLERANT);
     let connection = daemon.connect();
     let mut run = std::thread::scope(|scope| {
         let feed = scope.spawn(|| track(&daemon.connect(), &curve()));

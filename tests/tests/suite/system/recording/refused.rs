@@ -4,7 +4,7 @@ use std::fs;
 
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::message::Struct;
-use cdcr_tests::PATIENT;
+use cdcr_tests::STALL_TOLERANT;
 
 use super::recorded::Recorded;
 use super::{rewrite, tracked_curve};
@@ -88,7 +88,7 @@ fn of_a_damaged_recording_all_that_is_whole_is_saved() {
 
 #[test]
 fn what_is_no_recording_is_refused_with_the_reason() {
-    let run = Recorded::start(PATIENT);
+    let run = Recorded::start(STALL_TOLERANT);
     let place = run.daemon.place();
     place.write("empty.mcap", "");
     place.write("foreign.mcap", "time_s,x_m\n0,1\n");
