@@ -22,7 +22,7 @@ use crate::cycle::Cycle;
 use crate::exchange::Exchange;
 use crate::exit::{Ended, ExitCause};
 use crate::handover::{
-    ChangedSettings, CycleEnds, ExchangeEnds, ReporterEnds, Settings, Shared, channels,
+    ChangedSettings, CycleEnds, ExchangeEnds, ReporterEnds, RuntimeSettings, Shared, channels,
 };
 use crate::instance::Instance;
 use crate::kept_obstacles::KeptObstacles;
@@ -55,25 +55,25 @@ pub fn run(read: ReadConfig) -> Result<()> {
 }
 
 /// A wrapper around the life of the cycle thread. It must call its argument once.
-pub type CycleWatch = fn(&mut dyn FnMut());
+pub type CycleThreadHook = fn(&mut dyn FnMut());
 
-/// Runs the daemon until `should_end`. `watch` wraps the life of the cycle thread, for tests that observe it
+/// Runs the daemon until `should_end`. `hook` wraps the life of the cycle thread, for tests that observe it
 /// from inside; see [`count_allocations`](crate::rt::sys::count_allocations). `SIGHUP` changes nothing.
 pub fn run_until(
     validated: &Validated,
     should_end: impl FnMut() -> bool,
-    watch: CycleWatch,
+    hook: CycleThreadHook,
 ) -> Result<()> {
     let same = validated.clone();
     let read = Box::new(move || Ok(same.clone()));
-    claim_and_run(validated, read, should_end, watch)
+    claim_and_run(validated, read, should_end, hook)
 }
 
 fn claim_and_run(
     given: &Validated,
     read: ReadConfig,
     should_end: impl FnMut() -> bool,
-    watch: CycleWatch,
+    hook: CycleThreadHook,
 ) -> Result<()> {
     let validated = &with_core(given);
     // Before any process can find this one by its lock: these signals would end it.
@@ -84,7 +84,7 @@ fn claim_and_run(
     let Signals { stop, reload } = signals;
     let shared = Arc::new(Shared::new(stop, instance.latch()));
     let reload = |settings| Reload::new(reload, read, &given.config, settings);
-    let ended = run_with(validated, &instance, &shared, reload, should_end, watch);
+    let ended = run_with(validated, &instance, &shared, reload, should_end, hook);
     // The cycle handles no further signals.
     take_signal(SIGUSR1, true);
     if shared.take_stop() {
@@ -99,10 +99,10 @@ fn run_with(
     shared: &Arc<Shared>,
     reload: impl FnOnce(Producer<ChangedSettings>) -> Reload,
     mut should_end: impl FnMut() -> bool,
-    watch: CycleWatch,
+    hook: CycleThreadHook,
 ) -> Result<()> {
     let daemon_id = random_id();
-    let ends = channels(Settings::new(&validated.config));
+    let ends = channels(RuntimeSettings::new(&validated.config));
     let clock = MonotonicClock;
     let mut supervisor = Supervisor::new(validated, ends.supervisor, daemon_id, &clock)?;
 
@@ -122,7 +122,7 @@ fn run_with(
         }
     };
     let waker = exchange.thread().clone();
-    let cycle = match spawn_cycle(validated, cycle, ends.cycle, shared, waker, watch) {
+    let cycle = match spawn_cycle(validated, cycle, ends.cycle, shared, waker, hook) {
         Ok(cycle) => cycle,
         Err(error) => {
             abandon_threads([exchange, reporter]);
@@ -349,7 +349,7 @@ fn spawn_cycle(
     mut ends: CycleEnds,
     shared: &Arc<Shared>,
     exchange: Thread,
-    watch: CycleWatch,
+    hook: CycleThreadHook,
 ) -> Result<Started> {
     let realtime = &validated.config.realtime;
     let plan = realtime.thread_plan(realtime.cycle_priority);
@@ -360,7 +360,7 @@ fn spawn_cycle(
         shared.set_cycle_thread(this_thread());
         if let Some(mut schedule) = stage.prepare(plan, || cycle.warm_up(&clock)) {
             take_signal(SIGUSR1, true);
-            watch(&mut || {
+            hook(&mut || {
                 run_cycles(
                     &mut cycle,
                     &mut ends,

@@ -11,7 +11,7 @@ use std::thread::{Builder, JoinHandle};
 use rtrb::Producer;
 
 use crate::config::{Config, ConfigError, Validated, changed_keys};
-use crate::handover::{ChangedSettings, Settings};
+use crate::handover::{ChangedSettings, RuntimeSettings};
 
 /// Reads the configuration from the same place as at the start.
 pub type ReadConfig = Box<dyn Fn() -> Result<Validated, ConfigError> + Send>;
@@ -115,8 +115,8 @@ impl Reader {
         later.retain(|key| !is_solvers(key));
         if !changed.is_empty() {
             let changed = ChangedSettings {
-                before: Settings::new(&self.last),
-                after: Settings::new(&config),
+                before: RuntimeSettings::new(&self.last),
+                after: RuntimeSettings::new(&config),
             };
             self.settings.push(changed).map_err(|_| {
                 "the exchange thread has not yet applied the previous settings".to_owned()

@@ -151,7 +151,7 @@ mod tests {
 
     use super::*;
     use crate::config::Config;
-    use crate::handover::{Settings, channels};
+    use crate::handover::{RuntimeSettings, channels};
 
     #[test]
     fn a_snapshot_that_another_one_replaced_leaves_no_gap() {
@@ -159,7 +159,7 @@ mod tests {
         let root = folder.path().join("root");
         let text = format!("[transport]\nroot = \"{}\"\n", root.display());
         let validated = Config::parse(&text, &folder.path().join("robot.toml")).unwrap();
-        let ends = channels(Settings::new(&validated.config));
+        let ends = channels(RuntimeSettings::new(&validated.config));
         let mut supervisor = ends.supervisor;
         let mut desk = Desk::new(&validated, ends.status_desk).unwrap();
         let name = Service::Status.name(&validated.config.robot.name).unwrap();

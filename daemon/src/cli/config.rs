@@ -12,8 +12,8 @@ use serde::Serialize;
 
 use super::preset::Preset;
 use crate::config::{
-    ConfigError, DEFAULT_TEXT, Layers, Origin, RealtimeConfig, RealtimeMode, SCHEMA_TEXT, Settings,
-    Validated, explain,
+    ConfigDraft, ConfigError, DEFAULT_TEXT, Layers, Origin, RealtimeConfig, RealtimeMode,
+    SCHEMA_TEXT, Validated, explain,
 };
 use crate::instance::{InstanceError, is_in_memory};
 use crate::system::can_be_pinned;
@@ -95,7 +95,7 @@ impl Source {
     }
 
     /// The configuration before validation, with the origins of its values.
-    pub(super) fn settings(&self) -> Result<Settings, ConfigError> {
+    pub(super) fn settings(&self) -> Result<ConfigDraft, ConfigError> {
         let mut layers = Layers::default();
         let file = self.config.clone();
         if let Some(file) = file.or_else(|| variable("CDCR_CONFIG").map(PathBuf::from)) {

@@ -34,7 +34,7 @@ mod tests {
 
     use super::*;
     use crate::cli::config::Source;
-    use crate::config::{Config, Settings};
+    use crate::config::{Config, ConfigDraft};
 
     #[derive(Debug, Parser)]
     struct Line {
@@ -46,7 +46,7 @@ mod tests {
         settings(arguments).validate().unwrap().config
     }
 
-    fn settings(arguments: &[&str]) -> Settings {
+    fn settings(arguments: &[&str]) -> ConfigDraft {
         let line = Line::parse_from(["cdcrd"].iter().chain(arguments));
         line.source.settings().unwrap()
     }

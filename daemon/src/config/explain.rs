@@ -1,7 +1,7 @@
 use serde_json::Value;
 
 use super::keys::{self, Key};
-use super::{Config, ConfigError, Origin, Settings};
+use super::{Config, ConfigDraft, ConfigError, Origin};
 
 /// A JSON schema of the configuration (draft 2020-12), generated from the declarations. It is committed, so
 /// that the program needs no generator; a test compares it, and writes it if `CDCR_GENERATE` is set.
@@ -9,7 +9,7 @@ pub const SCHEMA_TEXT: &str = include_str!("../../../configs/schema.json");
 
 /// Explains a key, like `cycle.period_ms`, or a table with its keys: description, type, range, default,
 /// present value and its origin.
-pub fn explain(key: &str, settings: &Settings) -> Result<String, ConfigError> {
+pub fn explain(key: &str, settings: &ConfigDraft) -> Result<String, ConfigError> {
     let name = keys::without_indices(key);
     if keys::get(&name).is_none() {
         return Err(ConfigError::unknown(&name, Origin::Default));
@@ -32,7 +32,7 @@ fn node<'a>(schema: &'a Value, key: &str) -> &'a Value {
 }
 
 /// The explanation of one key, or of a table without its keys.
-fn about(key: &Key, node: &Value, settings: &Settings) -> String {
+fn about(key: &Key, node: &Value, settings: &ConfigDraft) -> String {
     let parameter = key.parameter;
     let mut lines = vec![key.name.clone()];
     lines.extend(parameter.text().lines().map(|line| format!("  {line}")));

@@ -8,7 +8,7 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 use super::error::{decimal_point, for_people, syntax};
-use super::{Config, ConfigError, Origin, Origins, Settings, keys};
+use super::{Config, ConfigDraft, ConfigError, Origin, Origins, keys};
 
 /// Largest configuration \[bytes\]: a hundred times one with every key.
 const FILE_BYTES_MAX: u64 = 1 << 20;
@@ -130,12 +130,12 @@ impl Layers {
     }
 
     /// All layers as one typed configuration.
-    pub fn settings(self) -> Result<Settings, ConfigError> {
+    pub fn settings(self) -> Result<ConfigDraft, ConfigError> {
         let Self { values, origins } = self;
         // Parsed from text, like each layer: a second deserialiser would add code.
         let config = toml::from_str(&values.to_string())
             .map_err(|cause| Origin::Default.error("the configuration", cause.message()))?;
-        Ok(Settings::new(config, origins))
+        Ok(ConfigDraft::new(config, origins))
     }
 }
 

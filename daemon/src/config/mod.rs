@@ -80,7 +80,7 @@ pub use origin::{Origin, Origins};
 pub use realtime::{RealtimeConfig, RealtimeMode};
 pub use robot::RobotConfig;
 pub(crate) use rules::numbers;
-pub use settings::Settings;
+pub use settings::ConfigDraft;
 pub use transport::TransportConfig;
 
 /// The default configuration as a commented file, printed by `cdcrd config default`.
@@ -151,7 +151,7 @@ impl Config {
 
     /// Validates a configuration that came from no file.
     pub fn check(self) -> Result<Validated, ConfigError> {
-        Settings::from(self).validate()
+        ConfigDraft::from(self).validate()
     }
 }
 

@@ -4,18 +4,18 @@ use super::{Config, ConfigError, Origin, Origins, Validated, keys, rules};
 
 /// A typed configuration before validation, with the origins of its values.
 #[derive(Debug, Clone, Default)]
-pub struct Settings {
+pub struct ConfigDraft {
     pub config: Config,
     pub origins: Origins,
 }
 
-impl From<Config> for Settings {
+impl From<Config> for ConfigDraft {
     fn from(config: Config) -> Self {
         Self::new(config, Origins::default())
     }
 }
 
-impl Settings {
+impl ConfigDraft {
     /// Values as they were set. An automatic rate weight is replaced by the value in force for the robot, and
     /// then counts as a default, even if "auto" was written.
     pub(super) fn new(mut config: Config, mut origins: Origins) -> Self {

@@ -45,7 +45,7 @@ mod tests {
 
     use super::outgoing::{measurement_to_wire, obstacle_to_wire};
     use super::*;
-    use crate::handover::{Settings, TimedMeasurement};
+    use crate::handover::{RuntimeSettings, TimedMeasurement};
     use crate::obstacles::ObstacleSet;
 
     fn trunk() -> Robot {
@@ -117,7 +117,7 @@ mod tests {
             rate_weight: 1e-6.into(),
             ..Default::default()
         };
-        let settings = Settings {
+        let settings = RuntimeSettings {
             nmpc,
             budget_ns: 400_000,
         };

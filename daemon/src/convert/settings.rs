@@ -5,14 +5,14 @@ use cdcr_controller::optimizer::VelocityRule;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
 
-use crate::handover::{ChangedSettings, Settings};
+use crate::handover::{ChangedSettings, RuntimeSettings};
 
 /// Generates both conversions, and the changes of a configuration, from the list of the settings. A missing field does
 /// not compile.
 macro_rules! both_ways {
     ({ $($choice:ident: $type:ident { $($variant:ident),+ },)+ } $($number:ident),+ $(,)?) => {
-        pub fn settings_to_wire(settings: &Settings) -> wire::SolverSettings {
-            let Settings { nmpc, budget_ns } = settings;
+        pub fn settings_to_wire(settings: &RuntimeSettings) -> wire::SolverSettings {
+            let RuntimeSettings { nmpc, budget_ns } = settings;
             let NmpcSettings { $($choice,)+ $($number),+ } = *nmpc;
             wire::SolverSettings {
                 $($choice: match $choice { $($type::$variant => codes::$type::$variant,)+ }.code(),)+
@@ -34,11 +34,11 @@ macro_rules! both_ways {
         }
 
         /// The settings in force with the changes of the configuration. The combination is not validated.
-        pub fn with_changes(in_force: &Settings, changed: &ChangedSettings) -> Settings {
+        pub fn with_changes(in_force: &RuntimeSettings, changed: &ChangedSettings) -> RuntimeSettings {
             let ChangedSettings { before, after } = changed;
-            let changed_or = |is_changed, [new, old]: [&Settings; 2]| if is_changed { *new } else { *old };
+            let changed_or = |is_changed, [new, old]: [&RuntimeSettings; 2]| if is_changed { *new } else { *old };
             let newer = [after, in_force];
-            Settings {
+            RuntimeSettings {
                 nmpc: NmpcSettings {
                     $($choice: changed_or(after.nmpc.$choice != before.nmpc.$choice, newer).nmpc.$choice,)+
                     $($number: changed_or(after.nmpc.$number != before.nmpc.$number, newer).nmpc.$number,)+
@@ -55,7 +55,7 @@ wire::solver_settings!(both_ways);
 pub fn settings_from_wire(
     message: &wire::SolverSettings,
     period_ns: u64,
-) -> Result<Settings, Outcome> {
+) -> Result<RuntimeSettings, Outcome> {
     if message.reserved != 0 {
         return Err(Outcome::UnknownCode);
     }
@@ -65,5 +65,5 @@ pub fn settings_from_wire(
     }
     let nmpc = nmpc_from_wire(message)?;
     nmpc.validate().map_err(|_| Outcome::OutOfRange)?;
-    Ok(Settings { nmpc, budget_ns })
+    Ok(RuntimeSettings { nmpc, budget_ns })
 }

@@ -28,7 +28,9 @@ use cdcr_controller::safety::{Mode, ModeMachine, Reason, homing_rates, ramp_to_z
 use crate::accounting::Accounting;
 use crate::config::{Validated, ns};
 use crate::core_budget::{CoreBudget, Costs, RecentCosts};
-use crate::handover::{CycleFacts, CycleInputs, CycleRecord, CycleRequest, Policy, Settings};
+use crate::handover::{
+    CycleFacts, CycleInputs, CycleRecord, CycleRequest, Policy, RuntimeSettings,
+};
 use crate::link::CycleRobot;
 use crate::obstacles::ObstacleSet;
 use crate::rt::clock::Clock;
@@ -108,7 +110,7 @@ impl Cycle {
         } = validated;
         let period_ns = ns(config.cycle.period_ms);
         let policy = Policy::new(config);
-        let settings = Settings::new(config);
+        let settings = RuntimeSettings::new(config);
         let state = RobotState::new(robot.clone(), policy, period_ns, *initial);
         let followed = FollowedReference::new(policy.approach);
         Ok(Self {
@@ -343,8 +345,8 @@ impl Cycle {
         }
     }
 
-    fn settings(&self) -> Settings {
-        Settings {
+    fn settings(&self) -> RuntimeSettings {
+        RuntimeSettings {
             nmpc: *self.nmpc.settings(),
             budget_ns: self.budget_ns,
         }

@@ -7,7 +7,7 @@ use crate::rt::schedule::Lateness;
 use crate::rt::scheduler::SchedulerDeltas;
 
 /// Page faults are read in one of this many punctual cycles.
-const PAGE_FAULT_LOOKS: u64 = 16;
+const PAGE_FAULT_SAMPLE_PERIOD: u64 = 16;
 
 #[derive(Debug, Default)]
 pub(super) struct CycleWatch {
@@ -29,7 +29,7 @@ impl CycleWatch {
 
     /// Statistics since the previous call; `number` counts the records. Page faults are expensive to read.
     /// They are read for a cycle that was late or shares a reading, in each cycle while there are some, and
-    /// in one of `PAGE_FAULT_LOOKS` others. So few are assigned to a wrong cycle.
+    /// in one of `PAGE_FAULT_SAMPLE_PERIOD` others. So few are assigned to a wrong cycle.
     pub(super) fn read(
         &mut self,
         record: &CycleRecord,
@@ -37,7 +37,7 @@ impl CycleWatch {
         number: u64,
     ) -> Option<Scheduling> {
         let was_late = record.lateness != Lateness::default() || record.release.skipped > 0;
-        let by_turn = number.is_multiple_of(PAGE_FAULT_LOOKS);
+        let by_turn = number.is_multiple_of(PAGE_FAULT_SAMPLE_PERIOD);
         let delta = if was_late || !is_newest || by_turn || self.page_faults {
             let delta = self.scheduler.read();
             self.page_faults = delta.is_some_and(|delta| delta.page_faults > 0);

@@ -5,7 +5,7 @@ use cdcr_shared_types::codes::{EventKind, Mode};
 
 use super::Exchange;
 use super::measurements::Arrival;
-use crate::handover::{Settings, Shared};
+use crate::handover::{RuntimeSettings, Shared};
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Schedule;
 use crate::services::Received;
@@ -63,7 +63,7 @@ impl Exchange {
         let inputs = self.ends.inputs.input_buffer_mut();
         inputs.gather = self.gather.number;
         inputs.gather_ns = self.gather.began_ns;
-        let Settings { nmpc, .. } = self.settings.settings;
+        let RuntimeSettings { nmpc, .. } = self.settings.settings;
         let horizon = nmpc.horizon_steps as usize;
         self.references
             .fill(&mut inputs.window, schedule, cycle, horizon);

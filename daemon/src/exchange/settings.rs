@@ -3,12 +3,12 @@ use cdcr_shared_types::codes::Outcome;
 
 use crate::config::{Config, ns};
 use crate::convert;
-use crate::handover::{ChangedSettings, Settings};
+use crate::handover::{ChangedSettings, RuntimeSettings};
 
 /// The settings in force, which clients may change.
 #[derive(Debug)]
 pub(super) struct SettingsInForce {
-    pub(super) settings: Settings,
+    pub(super) settings: RuntimeSettings,
     /// Grows with each change.
     pub(super) revision: u64,
     /// Period of the cycle: the longest allowed solve \[ns\].
@@ -22,7 +22,7 @@ pub(super) struct SettingsInForce {
 impl SettingsInForce {
     pub(super) fn new(config: &Config) -> Self {
         Self {
-            settings: Settings::new(config),
+            settings: RuntimeSettings::new(config),
             revision: 0,
             period_ns: ns(config.cycle.period_ms),
             safe_distance_min_m: config.controller.safe_distance_m,
@@ -65,7 +65,7 @@ impl SettingsInForce {
     }
 
     /// Puts validated settings into force.
-    fn take(&mut self, settings: Settings) {
+    fn take(&mut self, settings: RuntimeSettings) {
         self.settings = settings;
         self.revision += 1;
     }

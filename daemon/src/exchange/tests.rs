@@ -24,8 +24,8 @@ use crate::config::Config;
 use crate::convert;
 use crate::cycle::Cycle;
 use crate::handover::{
-    ChangedSettings, CycleEnds, CycleInputs, CycleReport, CycleRequest, ReporterEnds, Settings,
-    channels,
+    ChangedSettings, CycleEnds, CycleInputs, CycleReport, CycleRequest, ReporterEnds,
+    RuntimeSettings, channels,
 };
 use crate::link::CycleRobot;
 use crate::rt::clock::ManualClock;
@@ -73,7 +73,7 @@ impl Rig {
         let node = services::node(&validated.location).unwrap();
         let robot = &validated.config.robot.name;
         let ports = Ports::create(&node, robot).unwrap();
-        let ends = channels(Settings::new(&validated.config));
+        let ends = channels(RuntimeSettings::new(&validated.config));
         let control = node
             .service_builder(&Service::Control.name(robot).unwrap())
             .request_response::<Request, Response>()
@@ -369,12 +369,12 @@ fn what_changed_in_the_configuration_is_in_the_next_inputs_and_what_clients_set_
 fn a_safe_distance_that_a_client_set_wider_stays_when_that_of_the_configuration_changes() {
     let mut rig = Rig::new("[controller]\nsafe_distance_m = 0.02\n");
     let file = rig.gather().settings;
-    let safe = |settings: Settings, safe_distance_m| {
+    let safe = |settings: RuntimeSettings, safe_distance_m| {
         let mut settings = settings;
         settings.nmpc.safe_distance_m = safe_distance_m;
         settings
     };
-    let set = |rig: &mut Rig, settings: Settings| {
+    let set = |rig: &mut Rig, settings: RuntimeSettings| {
         let settings = convert::settings_to_wire(&settings);
         let outcome = rig.exchange.settings.change(&settings);
         assert_eq!(outcome, Outcome::Accepted);

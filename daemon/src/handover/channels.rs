@@ -3,7 +3,7 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use triple_buffer::{Input, Output, triple_buffer};
 
 use super::{
-    ChangedSettings, CycleInputs, CycleRecord, CycleReport, CycleRequest, Settings, Summary,
+    ChangedSettings, CycleInputs, CycleRecord, CycleReport, CycleRequest, RuntimeSettings, Summary,
 };
 use crate::rt::record_ring::{RecordReceiver, RecordSender, Used, record_ring};
 
@@ -80,7 +80,7 @@ pub struct Channels {
 /// Changed settings between the reload and the exchange.
 const RELOADED: usize = 4;
 
-pub fn channels(settings: Settings) -> Channels {
+pub fn channels(settings: RuntimeSettings) -> Channels {
     let (input, output) = triple_buffer(&CycleInputs::new(settings));
     let (request_in, request_out) = RingBuffer::new(REQUESTS_WAITING);
     // The reporter holds one more.

@@ -2,7 +2,7 @@ use cdcr_controller::estimator::Measurement;
 use cdcr_controller::reference::ReferenceWindow;
 use cdcr_controller::safety::{LeaseState, Refusal, Request};
 
-use super::Settings;
+use super::RuntimeSettings;
 use crate::obstacles::ObstacleSet;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,14 +47,14 @@ pub struct CycleInputs {
     /// grows, the measured time of the newest cycle includes other work.
     pub interruptions: u64,
     /// Settings in force, validated.
-    pub settings: Settings,
+    pub settings: RuntimeSettings,
     /// Grows with each change of the settings.
     pub settings_revision: u64,
 }
 
 impl CycleInputs {
     /// Inputs before the first gather.
-    pub fn new(settings: Settings) -> Self {
+    pub fn new(settings: RuntimeSettings) -> Self {
         Self {
             gather: 0,
             gather_ns: 0,

@@ -29,7 +29,7 @@ pub use channels::{
 };
 pub use fault_place::FaultPlace;
 pub use inputs::{CycleAnswer, CycleInputs, CycleRequest, TimedMeasurement};
-pub use policy::{ChangedSettings, Policy, Settings};
+pub use policy::{ChangedSettings, Policy, RuntimeSettings};
 pub use record::{CycleFacts, CycleRecord, MeasurementUse};
 pub use report::{CycleReport, InputReport, RefusedTips};
 pub use shared::Shared;

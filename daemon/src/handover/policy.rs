@@ -205,14 +205,14 @@ fn stale_inputs_max_ns(config: &Config) -> u64 {
 
 /// Settings that can change while the loop runs.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct RuntimeSettings {
     /// The optimal control problem and its solver.
     pub nmpc: NmpcSettings,
     /// Longest time of one solve \[ns\]; 0: all the time until the deadline, less the margin.
     pub budget_ns: u64,
 }
 
-impl Settings {
+impl RuntimeSettings {
     /// Initial settings of the configuration.
     pub fn new(config: &Config) -> Self {
         Self {
@@ -226,8 +226,8 @@ impl Settings {
 /// both.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChangedSettings {
-    pub before: Settings,
-    pub after: Settings,
+    pub before: RuntimeSettings,
+    pub after: RuntimeSettings,
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use cdcr_controller::robot::{BendRates, Configuration, Pose};
 use cdcr_controller::safety::{FollowingError, LeaseState, LimitsHit, Mode, Observation};
 use nalgebra::Vector3;
 
-use super::{Policy, Settings, TipCause};
+use super::{Policy, RuntimeSettings, TipCause};
 use crate::accounting::Totals;
 use crate::core_budget::{CoreBudget, Costs};
 use crate::handover::{CycleAnswer, REQUESTS_WAITING, TimedMeasurement};
@@ -162,7 +162,7 @@ pub struct CycleFacts {
     /// Largest speed of a tip that is behind its reference, in the newest cycle that solved \[m/s\].
     pub pace_m_s: f64,
     /// Settings in force.
-    pub settings: Settings,
+    pub settings: RuntimeSettings,
     pub report: SolveReport,
     pub rates: BendRates,
     pub limits_hit: LimitsHit,

@@ -6,7 +6,7 @@ use cdcr_shared_types::codes::{Mode, Outcome, Reason, TipCause};
 
 use crate::config::{Config, LinkKind, TipSensor, Validated, ns};
 use crate::convert;
-use crate::handover::{Settings, Summary};
+use crate::handover::{RuntimeSettings, Summary};
 
 /// Copies the data of the newest cycle into a status.
 pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
@@ -77,7 +77,7 @@ pub(super) fn first(validated: &Validated, daemon_id: u64) -> wire::Status {
         period_ns,
         deadline_ns: config.cycle.deadline_ns(),
         robot: convert::robot(&validated.robot),
-        settings: convert::settings_to_wire(&Settings::new(config)),
+        settings: convert::settings_to_wire(&RuntimeSettings::new(config)),
         clearance_m: f64::INFINITY,
         clearance_fault_m: config.safety.clearance_fault_m,
         safe_distance_min_m: config.controller.safe_distance_m,

@@ -10,7 +10,7 @@ use cdcr_scratch::Scratch;
 use rustix::fs::{CWD, Mode, mkfifoat};
 
 use super::{
-    Config, ConfigError, CycleConfig, DEFAULT_TEXT, Layers, Origin, Settings, explain, keys, ns,
+    Config, ConfigDraft, ConfigError, CycleConfig, DEFAULT_TEXT, Layers, Origin, explain, keys, ns,
 };
 use crate::warnings::warnings;
 
@@ -20,7 +20,7 @@ fn error_of(text: &str) -> String {
 }
 
 /// The configuration of a case in `messages.txt`, or its error.
-fn settings(case: &[&str]) -> Result<Settings, ConfigError> {
+fn settings(case: &[&str]) -> Result<ConfigDraft, ConfigError> {
     let is_layer = |line: &&str| line.starts_with("--set ") || line.starts_with("CDCR_");
     let (set, file): (Vec<&str>, Vec<&str>) = case.iter().partition(|line| is_layer(line));
     let mut layers = Layers::default().text(&file.join("\n"), Path::new("robot.toml"))?;
@@ -39,7 +39,7 @@ fn assert_is(case: &[&str], mark: &str, words: &str) {
         let text = explain(key, &settings(case).unwrap()).unwrap();
         return assert!(text.contains(&part.replace("\\n", "\n")), "{text}");
     }
-    match (settings(case).and_then(Settings::validate), mark) {
+    match (settings(case).and_then(ConfigDraft::validate), mark) {
         (Ok(validated), "~") => {
             let warnings = warnings(&validated.config);
             let is_reported = warnings.len() == 1 && warnings[0].contains(words);

@@ -119,7 +119,7 @@ impl Trial {
         };
         let text = format!("[link]\n{link}interface = \"{name}\"\n{more}");
         let validated = Config::parse(&text, Path::new("trial")).unwrap();
-        let mut inputs = CycleInputs::new(Settings::new(&validated.config));
+        let mut inputs = CycleInputs::new(RuntimeSettings::new(&validated.config));
         inputs.lease = LeaseState::Held;
         let straight = Configuration::straight(validated.robot.section_count());
         let sent_m = validated.robot.cable_lengths(&straight);

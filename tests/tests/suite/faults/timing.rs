@@ -8,7 +8,9 @@ use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Tra
 use cdcr_controller::safety::{LeaseState, Mode as InnerMode, Reason as InnerReason, Request};
 use cdcr_daemon::config::{Config, Validated};
 use cdcr_daemon::cycle::Cycle;
-use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings, TimedMeasurement};
+use cdcr_daemon::handover::{
+    CycleInputs, CycleRecord, CycleRequest, RuntimeSettings, TimedMeasurement,
+};
 use cdcr_daemon::link::CycleRobot;
 use cdcr_daemon::rt::clock::ManualClock;
 use cdcr_daemon::rt::schedule::Release;
@@ -24,7 +26,7 @@ use rustix::time::{ClockId, Timespec, clock_gettime, clock_settime};
 use crate::faults::trail::{Trail, alone, is, say};
 
 /// A daemon that stops its robot after `periods` without a command.
-fn patient_for(periods: u32) -> Daemon {
+fn tolerant_for(periods: u32) -> Daemon {
     Daemon::start(&format!("[cycle]\nmiss_limit = {periods}\n"))
 }
 
@@ -76,7 +78,7 @@ fn skip_never_drained() {
 
 #[test]
 fn a_machine_that_stands_still_for_too_long_stops_the_robot() {
-    let daemon = patient_for(60);
+    let daemon = tolerant_for(60);
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
     // A stall at the start may have stopped it.
@@ -109,7 +111,7 @@ fn hog(core: usize, time: Duration) {
 
 #[test]
 fn a_core_that_another_task_takes_stops_the_robot_and_names_the_load() {
-    let daemon = patient_for(20);
+    let daemon = tolerant_for(20);
     let connection = daemon.connect();
     let status = wait_status(&connection, |status| status.cycles > 5);
     if status.realtime_missing != 0 {
@@ -228,7 +230,7 @@ fn nothing_that_controls_looks_at_the_wall_clock() {
 const PERIOD_NS: u64 = 5_000_000;
 
 /// Inputs that no message can contain: they bypass all checks.
-fn unchecked_inputs(settings: Settings, position_m: f64) -> CycleInputs {
+fn unchecked_inputs(settings: RuntimeSettings, position_m: f64) -> CycleInputs {
     let mut trajectory = Trajectory::with_capacity(10, f64::INFINITY);
     let points = (0..10).map(|k| ReferencePoint {
         time_ns: k * 10 * PERIOD_NS,
@@ -288,7 +290,7 @@ fn a_solver_that_finds_no_number_is_a_fault_in_its_cycle_and_commands_the_ramp()
         ),
     ] {
         let mut cycle = Cycle::new(&validated, CycleRobot::Driver).unwrap();
-        let mut inputs = unchecked_inputs(Settings::new(&validated.config), position_m);
+        let mut inputs = unchecked_inputs(RuntimeSettings::new(&validated.config), position_m);
         let record = run(&mut cycle, 1, &mut inputs, &validated);
         assert_eq!(record.mode, expected);
         assert!(record.rates.as_slice().iter().all(|rate| rate.is_finite()));
@@ -303,7 +305,7 @@ fn a_machine_that_slept_stops_the_robot_in_the_first_cycle_that_knows_it() {
     let mut watch = SuspendWatch::default();
     let validated = Config::parse("[link]\nkind = \"driver\"\n", Path::new("robot.toml")).unwrap();
     let mut cycle = Cycle::new(&validated, CycleRobot::Driver).unwrap();
-    let mut inputs = unchecked_inputs(Settings::new(&validated.config), 0.01);
+    let mut inputs = unchecked_inputs(RuntimeSettings::new(&validated.config), 0.01);
     for (number, slept_ns, expected) in [
         (1, 60_000_000_000, InnerMode::Tracking { begun: false }),
         (2, 60_000_000_000, InnerMode::Tracking { begun: true }),

@@ -2,7 +2,7 @@
 
 use cdcr_daemon::config::Config;
 use cdcr_daemon::convert::settings_to_wire;
-use cdcr_daemon::handover::Settings;
+use cdcr_daemon::handover::RuntimeSettings;
 use cdcr_shared_types::codes::{Interface, RequestKind};
 use cdcr_shared_types::{
     Measurement, Obstacle, ObstacleUpdate, ReferenceChunk, ReferencePoint, Request, SolverSettings,
@@ -287,7 +287,7 @@ fn settings() -> impl Strategy<Value = SolverSettings> {
             terminal_weight: weights.3,
             safe_distance_m: weights.4,
             seed,
-            ..settings_to_wire(&Settings::new(&Config::default()))
+            ..settings_to_wire(&RuntimeSettings::new(&Config::default()))
         }
     })
 }

@@ -12,7 +12,7 @@ use cdcr_controller::safety::{LeaseState, Mode};
 use cdcr_daemon::config::{Config, Validated, ns};
 use cdcr_daemon::convert;
 use cdcr_daemon::cycle::Cycle;
-use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings};
+use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, RuntimeSettings};
 use cdcr_daemon::link::CycleRobot;
 use cdcr_daemon::rt::clock::{Clock, ManualClock};
 use cdcr_daemon::rt::schedule::Release;
@@ -72,7 +72,7 @@ pub(crate) struct Rig {
 
 impl Rig {
     pub(crate) fn new(validated: &Validated, link: CycleRobot) -> Self {
-        let mut inputs = CycleInputs::new(Settings::new(&validated.config));
+        let mut inputs = CycleInputs::new(RuntimeSettings::new(&validated.config));
         inputs.lease = LeaseState::Held;
         Self {
             robot: validated.robot.clone(),

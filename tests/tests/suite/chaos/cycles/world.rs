@@ -12,7 +12,7 @@ use cdcr_controller::safety::LeaseState;
 use cdcr_daemon::config::{Config, Validated, ns};
 use cdcr_daemon::convert;
 use cdcr_daemon::cycle::Cycle;
-use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings};
+use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, RuntimeSettings};
 use cdcr_daemon::link::CycleRobot;
 use cdcr_daemon::obstacles::ObstacleSet;
 use cdcr_daemon::rt::clock::ManualClock;
@@ -93,7 +93,7 @@ impl World {
             lead_ns: ns(config.actuator.lead_ms()),
             interface,
             driver,
-            inputs: CycleInputs::new(Settings::new(config)),
+            inputs: CycleInputs::new(RuntimeSettings::new(config)),
             trajectory: Trajectory::with_capacity(1024, robot.reach_m()),
             clock: ManualClock::default(),
             next: 1,
