@@ -116,7 +116,7 @@ pub use obstacle_sender::{ObstacleSender, check_place};
 pub use plant_driver::{PlantDriver, PlantError};
 pub use reference_feed::ReferenceFeed;
 pub use remedy::{reason_remedy, remedy, request_remedy};
-pub use request::{Asked, PoseDifference, RequestError};
+pub use request::{PoseDifference, RequestError, RequestName};
 pub use requester::{Requester, StopError};
 pub use robot::{realtime_missing, section_lengths_m, straight_cable_lengths_m, text};
 pub use stream::{CommandStream, Stream, TelemetryStream};

@@ -19,16 +19,16 @@ use crate::services::ControlChannel;
 /// Interval at which a waiting client checks for the answer.
 pub(crate) const POLL_INTERVAL: Duration = Duration::from_millis(1);
 
-/// What a client asked for.
+/// Name of what a client requested, in errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Asked {
-    /// A request.
+pub enum RequestName {
+    /// A request of this kind.
     Request(RequestKind),
     /// The renewal of the lease, which is a request to acquire it.
     Renewal,
 }
 
-impl fmt::Display for Asked {
+impl fmt::Display for RequestName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Request(kind) => kind.fmt(f),
@@ -37,7 +37,7 @@ impl fmt::Display for Asked {
     }
 }
 
-impl Asked {
+impl RequestName {
     /// The kind of the request.
     pub fn kind(self) -> RequestKind {
         match self {
@@ -52,7 +52,7 @@ impl Asked {
 pub struct PoseDifference {
     /// Section with the largest difference, 1 next to the base; 0: the refusal is not for this reason.
     pub section: u32,
-    /// The difference \[rad\].
+    /// Distance of that section from its commanded position \[rad\].
     pub rad: f64,
 }
 
@@ -83,8 +83,8 @@ pub enum RequestError {
     /// The daemon refused the request.
     #[error("cannot {asked}: {}{pose} (the daemon is {mode}). {}", refusal(asked.kind(), *outcome), request_remedy(asked.kind(), *outcome, *mode))]
     Refused {
-        /// The request.
-        asked: Asked,
+        /// What was requested.
+        asked: RequestName,
         /// Reason of the refusal.
         outcome: Outcome,
         /// Mode of the daemon after the request.
@@ -98,8 +98,8 @@ pub enum RequestError {
         waited.as_millis()
     )]
     Timeout {
-        /// The request.
-        asked: Asked,
+        /// What was requested.
+        asked: RequestName,
         /// Time waited.
         waited: Duration,
         /// Whether the daemon still runs.
@@ -113,16 +113,16 @@ pub enum RequestError {
     /// The request or its answer could not be transferred.
     #[error("cannot {asked}: {cause}")]
     Link {
-        /// The request.
-        asked: Asked,
+        /// What was requested.
+        asked: RequestName,
         /// Error text of the port.
         cause: String,
     },
     /// The answer has a code that is unknown in this version.
     #[error("the outcome of {asked} is unknown: the daemon answered with {code}")]
     Answer {
-        /// The request.
-        asked: Asked,
+        /// What was requested.
+        asked: RequestName,
         /// The unknown code.
         code: UnknownCode,
     },
@@ -135,7 +135,7 @@ impl RequestError {
             Self::Refused { asked, .. }
             | Self::Timeout { asked, .. }
             | Self::Link { asked, .. }
-            | Self::Answer { asked, .. } => *asked = Asked::Renewal,
+            | Self::Answer { asked, .. } => *asked = RequestName::Renewal,
             Self::Restarted => {}
         }
         self
@@ -226,7 +226,7 @@ impl Control {
             was_unanswered |= answer.is_none();
             if is_over {
                 return Err(RequestError::Timeout {
-                    asked: Asked::Request(kind),
+                    asked: RequestName::Request(kind),
                     waited: timeout,
                     liveness: self.place.liveness(),
                 });
@@ -256,7 +256,7 @@ impl Control {
         request: Request,
         deadline: Instant,
     ) -> Result<Option<Response>, RequestError> {
-        let asked = Asked::Request(kind);
+        let asked = RequestName::Request(kind);
         let link = |cause: String| RequestError::Link { asked, cause };
         let port = self.port().map_err(|cause| link(cause.to_string()))?;
         let pending = port
@@ -292,7 +292,7 @@ fn can_be_retried(kind: RequestKind, response: &Response, was_unanswered: bool) 
 }
 
 fn evaluate(kind: RequestKind, response: Response) -> Result<Response, RequestError> {
-    let asked = Asked::Request(kind);
+    let asked = RequestName::Request(kind);
     match Outcome::try_from(response.outcome) {
         Ok(Outcome::Accepted) => Ok(response),
         Ok(outcome) => Err(match Mode::try_from(response.mode) {

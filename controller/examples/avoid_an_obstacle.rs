@@ -13,7 +13,8 @@ pub fn main() -> Result<(), Box<dyn std::error::Error>> {
     let robot = Robot::new(&RobotParameters::paper(2))?;
     let start = Configuration::from_bend_angles(&[[0.4, 0.0], [0.5, 0.0]]);
     let tip_m = robot.tip_position(&start);
-    let circle = |time_s: f64| ReferenceSample::at(Rotation3::new(Vector3::z() * time_s) * tip_m);
+    let circle =
+        |time_s: f64| ReferenceSample::at_position(Rotation3::new(Vector3::z() * time_s) * tip_m);
     let ball = Obstacle::ball(circle(1.5).position_m + Vector3::new(0.0, 0.02, 0.03), 0.02)?;
     // A horizon of 0.1 s: the detour begins before the obstacle is reached.
     let settings = NmpcSettings {

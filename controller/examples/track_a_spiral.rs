@@ -12,7 +12,7 @@ pub fn main() -> Result<(), Box<dyn std::error::Error>> {
     // The spiral is the path of the tip when the last section bends by 2t/15 towards t and the others are straight.
     let bent = |t: f64| Configuration::from_bend_angles(&[[0.0; 2], [0.0; 2], [2.0 * t / 15.0, t]]);
     let begin_s = 5_f64.to_radians();
-    let spiral = |time_s| ReferenceSample::at(robot.tip_position(&bent(begin_s + time_s)));
+    let spiral = |time_s| ReferenceSample::at_position(robot.tip_position(&bent(begin_s + time_s)));
 
     let settings = NmpcSettings::default();
     let mut closed = ClosedLoop::new(&robot, 0.005, settings, bent(begin_s), &[], spiral)?;

@@ -19,7 +19,7 @@ pub fn main() -> Result<(), Box<dyn std::error::Error>> {
     let robot = Robot::new(&parameters)?;
 
     let there = Configuration::from_bend_angles(&[[0.5, 0.3], [1.2, 2.0]]);
-    let goal = ReferenceSample::at(robot.tip_position(&there));
+    let goal = ReferenceSample::at_position(robot.tip_position(&there));
     let (settings, start) = (NmpcSettings::default(), Configuration::straight(2));
     let mut closed = ClosedLoop::new(&robot, 0.01, settings, start, &[], |_| goal)?;
     closed.run(10.0)?;

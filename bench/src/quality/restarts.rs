@@ -201,7 +201,7 @@ fn compete(
     let (mut best_cost, mut best_plan) = (f64::INFINITY, nmpc.plan().to_vec());
     let (mut solves, mut quanta_left) = (0_u64, contender.quanta);
     let still = BendRates::zero(SECTIONS);
-    let reference = vec![ReferenceSample::at(problem.target_m); HORIZON_STEPS as usize];
+    let reference = vec![ReferenceSample::at_position(problem.target_m); HORIZON_STEPS as usize];
     let random = (0..contender.random_plans).map(Some);
     for random_plan in std::iter::once(None).chain(random) {
         if let Some(number) = random_plan {

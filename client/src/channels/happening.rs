@@ -8,7 +8,7 @@ use crate::{counted, events};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum Level {
-    /// Normal.
+    /// A normal event, such as a change of mode by a request.
     Info = 20,
     /// A request or message was refused, or a cycle was late.
     Warning = 30,
@@ -21,7 +21,7 @@ pub enum Level {
 pub struct Happening {
     /// Text with numbers.
     pub text: String,
-    /// Severity.
+    /// How serious it is.
     pub level: Level,
 }
 

@@ -41,7 +41,7 @@ pub enum CommandRefusal {
     /// The target time is before the release.
     #[error("the target of the command is {before_ns} ns before its release")]
     Times {
-        /// Difference \[ns\].
+        /// Time by which the target precedes the release \[ns\].
         before_ns: u64,
     },
     /// The command is not newer than the one in force: its sequence number, cycle or release went back.

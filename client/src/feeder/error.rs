@@ -15,9 +15,9 @@ pub enum FeedError {
         name: &'static str,
         /// Its value \[s\].
         value_s: f64,
-        /// Minimum \[s\].
+        /// Least allowed value \[s\].
         least_s: f64,
-        /// Maximum \[s\].
+        /// Largest allowed value \[s\].
         most_s: f64,
     },
     /// The duration of the trajectory is negative, not finite, or longer than a day.
@@ -69,7 +69,7 @@ pub enum FeedError {
         mode: &'static str,
         /// Text of its reason.
         reason: &'static str,
-        /// Remedy.
+        /// What to do before the next feed.
         remedy: &'static str,
     },
 }
@@ -91,13 +91,13 @@ impl From<RequestError> for FeedError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Asked;
+    use crate::RequestName;
     use std::time::Duration;
 
     #[test]
     fn a_request_that_an_ended_daemon_did_not_answer_reports_its_end_and_no_lease() {
         let timeout = |liveness| RequestError::Timeout {
-            asked: Asked::Renewal,
+            asked: RequestName::Renewal,
             waited: Duration::from_secs(1),
             liveness,
         };

@@ -28,11 +28,11 @@ pub enum FigureShape {
 /// along the third axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FigurePlane {
-    /// Horizontal.
+    /// Horizontal: across the straight robot.
     Xy,
-    /// Vertical.
+    /// Vertical, through the x axis.
     Xz,
-    /// Vertical.
+    /// Vertical, through the y axis.
     Yz,
 }
 

@@ -11,25 +11,25 @@ const COMPONENT_SHARE: f64 = 0.3;
 /// A parameter that was not estimated, and the reason.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Held {
-    /// The parameter.
+    /// The parameter that keeps its configured value.
     pub parameter: Parameter,
-    /// The reason.
-    pub why: Why,
+    /// Its reason.
+    pub why: HeldReason,
 }
 
 /// Reason why a parameter was not estimated.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Why {
+pub enum HeldReason {
     /// By request.
-    Asked,
+    Requested,
     /// The data cannot distinguish it from these parameters; if empty, the data do not depend on it.
     Undetermined(Vec<Parameter>),
 }
 
-impl fmt::Display for Why {
+impl fmt::Display for HeldReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Asked => write!(f, "asked for"),
+            Self::Requested => write!(f, "held on request"),
             Self::Undetermined(others) if others.is_empty() => {
                 write!(f, "the data do not depend on it")
             }
@@ -81,7 +81,9 @@ pub(super) fn hold_undetermined(
         combined.retain(|&index| index != first);
         held.push(Held {
             parameter: Parameter::from_index(first),
-            why: Why::Undetermined(combined.into_iter().map(Parameter::from_index).collect()),
+            why: HeldReason::Undetermined(
+                combined.into_iter().map(Parameter::from_index).collect(),
+            ),
         });
     }
 }
@@ -95,7 +97,7 @@ pub(super) fn uncertain(held: &[Held]) -> impl Iterator<Item = usize> {
             held.parameter,
             Parameter::BaseRotation(2) | Parameter::SensorPosition(2)
         );
-        held.why != Why::Asked && !is_chosen
+        held.why != HeldReason::Requested && !is_chosen
     };
     held.iter()
         .filter(is_uncertain)
@@ -139,7 +141,7 @@ pub(super) fn hold_uncertain(
             .filter(|&other| share(other) >= COMPONENT_SHARE * largest);
         held.push(Held {
             parameter: Parameter::from_index(index),
-            why: Why::Undetermined(
+            why: HeldReason::Undetermined(
                 combined
                     .map(|&other| Parameter::from_index(other))
                     .collect(),

@@ -24,7 +24,7 @@ use nalgebra::Vector3;
 pub use error::CalibrationError;
 use fit::{Estimated, Square, fit, information, residuals};
 pub use geometry::{Geometry, PARAMETERS_MAX, Parameter, ParameterGroup};
-pub use held::{Held, Why};
+pub use held::{Held, HeldReason};
 use held::{covariance, hold_uncertain, hold_undetermined, uncertain};
 pub use noise::Noise;
 pub use play::behind_play;
@@ -47,7 +47,7 @@ const SHARE_95: f64 = 1.96;
 /// Estimate of one parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
-    /// The parameter.
+    /// The parameter that was estimated.
     pub parameter: Parameter,
     /// Configured value (m or rad).
     pub old: f64,
@@ -215,7 +215,7 @@ impl Search {
         }
         let why = |parameter: &Parameter| Held {
             parameter: *parameter,
-            why: Why::Asked,
+            why: HeldReason::Requested,
         };
         Self {
             geometry: configured.clone(),

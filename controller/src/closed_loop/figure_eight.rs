@@ -90,7 +90,7 @@ impl FigureEight {
     /// A figure eight of 160 mm by 80 mm across the robot's axis, at up to 52 mm/s; `time_s` in seconds.
     pub fn reference(time_s: f64) -> ReferenceSample {
         let [x, y] = eight_point(time_s);
-        ReferenceSample::at(Vector3::new(0.25 + SIZE_M * x, SIZE_M * y, 0.7))
+        ReferenceSample::at_position(Vector3::new(0.25 + SIZE_M * x, SIZE_M * y, 0.7))
     }
 
     fn sample(&self, time_s: f64) -> ReferenceSample {
@@ -99,7 +99,7 @@ impl FigureEight {
             TipPath::ThroughStraight(bend_rad) => bend_rad,
             TipPath::Spiral { lower_m } => {
                 let tip_m = self.robot.tip_position(&spiral_shape(3, time_s));
-                return ReferenceSample::at(tip_m - lower_m * Vector3::z());
+                return ReferenceSample::at_position(tip_m - lower_m * Vector3::z());
             }
         };
         let mut bends = self.start;
@@ -107,7 +107,7 @@ impl FigureEight {
         for (i, bend) in bends.as_mut_slice().iter_mut().enumerate() {
             *bend = bend_rad * eight[i % 2];
         }
-        ReferenceSample::at(self.robot.tip_position(&bends))
+        ReferenceSample::at_position(self.robot.tip_position(&bends))
     }
 
     /// The figure eight of three sections.
@@ -232,7 +232,7 @@ impl FigureEight {
         let (robot, settings) = (&self.robot, self.settings(&driven.flaws));
         let start = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
         let goal_m = robot.tip_position(&start) + Vector3::new(-0.02, 0.03, 0.0);
-        let goal = ReferenceSample::at(goal_m);
+        let goal = ReferenceSample::at_position(goal_m);
         let mut nmpc = Nmpc::new(robot.clone(), Self::PERIOD_S, settings)?;
         let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, &[], |_| goal)?
             .with_acceleration(ACCELERATION_RAD_S2)

@@ -275,7 +275,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         self.cycle
     }
 
-    /// The robot.
+    /// The robot of the solver's model; that of [`Self::with_driven`] may deviate from it.
     pub fn robot(&self) -> &Robot {
         &self.robot
     }

@@ -25,7 +25,7 @@ const BALL_RADIUS_M: f64 = 0.01;
 
 /// A robot at rest, the reference of its tip, and obstacles.
 pub struct Scene {
-    /// The robot.
+    /// The robot that moves in the scene, at rest at time 0.
     pub robot: Robot,
     /// Its shape at time 0.
     pub start: Configuration,
@@ -66,7 +66,7 @@ impl Scene {
         let robot = Robot::new(&RobotParameters::paper(sections))?;
         let model = robot.clone();
         let tip_m = move |time_s| model.tip_position(&spiral_shape(sections, time_s));
-        let reference_at = Box::new(move |time_s| ReferenceSample::at(tip_m(time_s)));
+        let reference_at = Box::new(move |time_s| ReferenceSample::at_position(tip_m(time_s)));
         let start = spiral_shape(sections, 0.0);
         Ok(Self::new(robot, start, reference_at, 994))
     }
@@ -85,7 +85,11 @@ impl Scene {
         let reach_m = robot.reach_m();
         let reference_at = move |time_s: f64| ReferenceSample {
             orientation: Orientation::Axis(Vector3::z_axis()),
-            ..ReferenceSample::at(Vector3::new(0.03 * time_s, 0.0, reach_m - 0.01 * time_s))
+            ..ReferenceSample::at_position(Vector3::new(
+                0.03 * time_s,
+                0.0,
+                reach_m - 0.01 * time_s,
+            ))
         };
         let start = Configuration::straight(3);
         Ok(Self::new(robot, start, Box::new(reference_at), 510))
@@ -101,7 +105,7 @@ impl Scene {
         parameters.sections[0].body_radius_m = 0.0;
         let reference_at = |time_s: f64| {
             let ([radius_m, height_m], (sin, cos)) = (CIRCLE_M, time_s.sin_cos());
-            ReferenceSample::at(Vector3::new(radius_m * cos, radius_m * sin, height_m))
+            ReferenceSample::at_position(Vector3::new(radius_m * cos, radius_m * sin, height_m))
         };
         let centre_m = reference_at(FRAC_PI_2).position_m;
         let start = Configuration::straight(1);
@@ -179,7 +183,8 @@ impl Scene {
         let start = Configuration::from_bend_angles(&bend_angles);
         let tip_m = robot.tip_pose(&start).position_m;
         let knots = [vec![(0.0, tip_m)], way(tip_m)].concat();
-        let reference_at = Box::new(move |time_s| ReferenceSample::at(on_legs(&knots, time_s)));
+        let reference_at =
+            Box::new(move |time_s| ReferenceSample::at_position(on_legs(&knots, time_s)));
         Ok(Self::new(robot, start, reference_at, cycles))
     }
 

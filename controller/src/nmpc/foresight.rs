@@ -126,7 +126,7 @@ fn extrapolate_reference(
     for _ in steps..longer {
         let ahead = next(last);
         last = [last[1], last[2], last[3], ahead];
-        into.push(ReferenceSample::at(ahead));
+        into.push(ReferenceSample::at_position(ahead));
     }
     true
 }
@@ -256,7 +256,7 @@ mod tests {
 
     fn curve(of: impl Fn(f64) -> Vector3<f64>) -> Vec<ReferenceSample> {
         (0..30)
-            .map(|k| ReferenceSample::at(of(f64::from(k))))
+            .map(|k| ReferenceSample::at_position(of(f64::from(k))))
             .collect()
     }
 
@@ -349,7 +349,9 @@ mod tests {
         let mut others = 0;
         for cycle in 0..70 {
             let steps = cycle + 1..=cycle + 20;
-            let reference: Vec<_> = steps.map(|k| ReferenceSample::at(spiral_m(k))).collect();
+            let reference: Vec<_> = steps
+                .map(|k| ReferenceSample::at_position(spiral_m(k)))
+                .collect();
             let input = SolveInput {
                 configuration: &at,
                 previous_rates: &rates,

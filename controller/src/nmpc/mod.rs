@@ -280,7 +280,7 @@ impl Nmpc {
         self.pace_m_s
     }
 
-    /// The robot.
+    /// The robot that the solver predicts.
     pub fn robot(&self) -> &Robot {
         &self.robot
     }

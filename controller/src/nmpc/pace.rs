@@ -114,7 +114,7 @@ mod tests {
             position_m: tip_m,
             ..Pose::identity()
         };
-        let at = |x_m: f64| ReferenceSample::at(tip_m + Vector3::new(x_m, 0.0, 0.0));
+        let at = |x_m: f64| ReferenceSample::at_position(tip_m + Vector3::new(x_m, 0.0, 0.0));
         let mut paced = Vec::new();
         let reference = [at(0.5), at(0.015), at(-0.5)];
         assert!(pace_reference(&reference, 5, &tip, 0.01, &mut paced));
@@ -135,7 +135,7 @@ mod tests {
         let turn = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.2, 0.0));
         let sample = ReferenceSample {
             orientation: Orientation::Full(turn),
-            ..ReferenceSample::at(Vector3::new(0.01, 0.0, 0.0))
+            ..ReferenceSample::at_position(Vector3::new(0.01, 0.0, 0.0))
         };
         let mut paced = Vec::new();
         assert!(pace_reference(

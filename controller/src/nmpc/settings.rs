@@ -241,11 +241,11 @@ pub mod ranges {
     pub const HORIZON_STEPS: RangeInclusive<f64> = 1.0..=HORIZON_STEPS_MAX as f64;
     /// Control blocks.
     pub const CONTROL_BLOCKS: RangeInclusive<f64> = 0.0..=CONTROL_BLOCKS_MAX as f64;
-    /// Particles.
+    /// Particles of the swarm.
     pub const SWARM_SIZE: RangeInclusive<f64> = 1.0..=SWARM_MAX as f64;
     /// Swarm iterations, and iterations before a regeneration.
     pub const ITERATIONS: RangeInclusive<f64> = 0.0..=1000.0;
-    /// Inertia.
+    /// Inertia of a particle: the share of its velocity that it keeps.
     pub const INERTIA: RangeInclusive<f64> = 0.0..=1.0;
     /// Swarm coefficients.
     pub const COEFFICIENT: RangeInclusive<f64> = 0.0..=4.0;
@@ -253,7 +253,7 @@ pub mod ranges {
     pub const REFINEMENT_STEPS: RangeInclusive<f64> = 0.0..=50.0;
     /// Damping: above zero, because the matrix of a straight robot is singular.
     pub const DAMPING: RangeInclusive<f64> = 1e-20..=1.0;
-    /// Weights.
+    /// Weights and penalties in the cost.
     pub const WEIGHT: RangeInclusive<f64> = 0.0..=1e12;
     /// Orientation error that costs nothing \[rad\].
     pub const ORIENTATION_TOLERANCE_RAD: RangeInclusive<f64> = 0.0..=1.0;

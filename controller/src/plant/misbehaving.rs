@@ -29,7 +29,7 @@ pub fn true_robot(model: &Robot, geometry: &[[f64; 3]]) -> Result<Robot, RobotEr
 /// Command to the motors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MotorOrder {
-    /// Stop.
+    /// The motors rest, for example because no command is valid.
     Stop,
     /// Run at these speeds, one for each cable (m/s).
     Speeds([f64; CABLES_MAX]),

@@ -12,7 +12,7 @@ pub struct GridPoint {
     pub cycle: u64,
     /// Its release \[ns\].
     pub release_ns: u64,
-    /// Period \[ns\].
+    /// Time to the next release \[ns\].
     pub period_ns: u64,
 }
 
@@ -34,7 +34,7 @@ pub struct FollowedReference {
 /// What the tip follows at the releases of the horizon.
 #[derive(Debug, Clone, Copy)]
 pub struct Followed<'a> {
-    /// The samples.
+    /// One for each step of the horizon.
     pub samples: &'a [ReferenceSample],
     /// Largest speed of a tip that is behind them and returns: the largest one of the samples, from the release to the end
     /// of the horizon, plus that of an approach \[m/s\]. Infinite without an approach. A jump inside the reference counts:

@@ -117,7 +117,7 @@ pub struct ReferenceSample {
 
 impl ReferenceSample {
     /// A tip position (m, base frame) with free orientation.
-    pub fn at(position_m: Vector3<f64>) -> Self {
+    pub fn at_position(position_m: Vector3<f64>) -> Self {
         Self {
             state: ReferenceState::Inside,
             position_m,

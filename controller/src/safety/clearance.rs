@@ -32,7 +32,7 @@ const SCALE_WITHIN: f64 = 1.0 / 256.0;
 /// Output of the guard.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Guarded {
-    /// The rates \[rad/s\].
+    /// Rates that keep the safe distance \[rad/s\]: the desired ones, corrected, scaled down or zero.
     pub(super) rates: BendRates,
     /// Whether the guard changed the rates.
     pub(super) hit: bool,

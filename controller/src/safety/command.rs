@@ -42,7 +42,7 @@ pub struct Situation<'a> {
     pub tip_offset_m: f64,
     /// Largest increase of a rate \[rad/s²\]; infinite: no limit.
     pub acceleration_rad_s2: f64,
-    /// Period \[s\].
+    /// Period T of the cycle \[s\].
     pub period_s: f64,
     /// Time for which the robot executes a command when no other follows \[s\], at least a period.
     pub moving_s: f64,
@@ -141,7 +141,7 @@ impl<'a> Situation<'a> {
 /// A command that satisfies all limits and the clearance rule.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SafeCommand {
-    /// The rates \[rad/s\].
+    /// Rates to command, after limits and clearance guard \[rad/s\].
     pub rates: BendRates,
     /// The limits that changed them.
     pub limits_hit: LimitsHit,

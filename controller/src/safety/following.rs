@@ -156,7 +156,7 @@ impl FollowingWatch {
         }
     }
 
-    /// The thresholds.
+    /// Thresholds of warning and fault.
     pub fn rules(&self) -> &FollowingRules {
         &self.rules
     }

@@ -58,7 +58,7 @@ impl LimitsHit {
 /// A command inside every limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limited {
-    /// The rates \[rad/s\].
+    /// Rates nearest to the desired ones within the limits \[rad/s\].
     pub rates: BendRates,
     /// The limits that changed the command.
     pub hit: LimitsHit,

@@ -74,7 +74,7 @@ impl MeasurementWatch {
         }
     }
 
-    /// The limits.
+    /// Limits that a measurement has to keep.
     pub fn rules(&self) -> &PlausibilityRules {
         &self.rules
     }

@@ -58,7 +58,7 @@ mod tests {
         BendRates::from_slice(&values).expect("two sections")
     }
 
-    fn at(values: [f64; 4]) -> Configuration {
+    fn configuration(values: [f64; 4]) -> Configuration {
         Configuration::from_slice(&values).expect("two sections")
     }
 
@@ -82,13 +82,13 @@ mod tests {
     #[test]
     fn homing_arrives_exactly_once_near() {
         let (robot, rest, free) = (robot(), BendRates::zero(2), f64::INFINITY);
-        let mut bend = at([1.0, -0.5, 0.0, 0.25]);
+        let mut bend = configuration([1.0, -0.5, 0.0, 0.25]);
         for _ in 0..1001 {
             let rates = homing_rates(&robot, &bend, &rest, 0.5, free, PERIOD_S);
             bend = bend.advanced(&rates, PERIOD_S);
         }
         assert!(bend.as_slice().iter().all(|b| b.abs() < 1e-12), "{bend:?}");
-        let end = homing_rates(&robot, &at([0.0; 4]), &rest, 0.5, free, PERIOD_S);
+        let end = homing_rates(&robot, &configuration([0.0; 4]), &rest, 0.5, free, PERIOD_S);
         assert_eq!(end, rest);
     }
 
@@ -104,7 +104,7 @@ mod tests {
             ..RobotParameters::paper(2)
         };
         let slow_tip = Robot::new(&slow_tip).expect("a slow tip");
-        let begin = at([1.0, -0.5, 0.8, 0.25]);
+        let begin = configuration([1.0, -0.5, 0.8, 0.25]);
         for (robot, acceleration_rad_s2) in [
             (&slow_section, 1e9),
             (&slow_cables, 1e9),

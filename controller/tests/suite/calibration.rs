@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use cdcr_controller::calibration::{
-    Calibration, CalibrationError, CalibrationRow, Parameter, ParameterGroup, Why, behind_play,
-    calibrate,
+    Calibration, CalibrationError, CalibrationRow, HeldReason, Parameter, ParameterGroup,
+    behind_play, calibrate,
 };
 use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
@@ -245,8 +245,8 @@ fn no_value_is_offered_that_the_rows_do_not_determine() {
 
 fn held(found: &Calibration) -> Vec<(Parameter, Vec<Parameter>)> {
     let held = found.held.iter().filter_map(|held| match &held.why {
-        Why::Undetermined(others) => Some((held.parameter, others.clone())),
-        Why::Asked => None,
+        HeldReason::Undetermined(others) => Some((held.parameter, others.clone())),
+        HeldReason::Requested => None,
     });
     held.collect()
 }

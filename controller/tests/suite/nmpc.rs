@@ -281,7 +281,7 @@ fn a_plan_without_a_budget_is_followed_to_its_end_and_restored_likewise() {
     let robot = paper(3);
     let (at, rest) = (Configuration::straight(3), BendRates::zero(3));
     // Evaluating so many steps takes more than the first quantum.
-    let goal = [ReferenceSample::at(Vector3::new(0.1, 0.2, 0.5)); 40];
+    let goal = [ReferenceSample::at_position(Vector3::new(0.1, 0.2, 0.5)); 40];
     for (blocks, moves) in [(0, 39), (20, 1)] {
         let settings = NmpcSettings {
             horizon_steps: 40,

@@ -19,7 +19,7 @@ fn seeds() -> u64 {
 
 /// The true tip error, without the first second.
 #[derive(Debug, Default)]
-struct Figures {
+struct TrackingErrors {
     mean_mm: f64,
     rms_mm: f64,
     max_mm: f64,
@@ -27,7 +27,7 @@ struct Figures {
     rate_change_rms: f64,
 }
 
-impl Figures {
+impl TrackingErrors {
     fn or_worse(&self, run: &FigureEightRun) -> Self {
         Self {
             mean_mm: self.mean_mm.max(run.mean_mm()),
@@ -43,9 +43,9 @@ impl Figures {
     clippy::large_types_passed_by_value,
     reason = "a robot is given once for each simulation"
 )]
-fn worst(name: &str, driven: Driven) -> Figures {
+fn worst(name: &str, driven: Driven) -> TrackingErrors {
     let eight = FigureEight::new().unwrap();
-    let mut worst = Figures::default();
+    let mut worst = TrackingErrors::default();
     for &obeys_positions in crate::cases(1, &[true, false]) {
         for seed in 1..=seeds() {
             let driven = Driven {
@@ -102,8 +102,8 @@ fn play(play_m: f64) -> Actuator {
 
 #[test]
 fn the_ideal_robot_is_on_its_reference() {
-    let figures = worst("ideal", driven(Flaws::default()));
-    assert!(figures.max_mm < 1e-9);
+    let errors = worst("ideal", driven(Flaws::default()));
+    assert!(errors.max_mm < 1e-9);
 }
 
 #[test]
@@ -124,11 +124,11 @@ fn noise_of_the_cables_is_averaged_and_does_not_rattle() {
             ..noisy
         },
     );
-    let figures = worst("30 µm", noisy);
-    assert!(figures.rms_mm < 0.15 && believed.rms_mm > 0.4);
-    assert!(figures.rate_change_rms < 0.05 * believed.rate_change_rms);
+    let errors = worst("30 µm", noisy);
+    assert!(errors.rms_mm < 0.15 && believed.rms_mm > 0.4);
+    assert!(errors.rate_change_rms < 0.05 * believed.rate_change_rms);
     let quiet = worst("no noise", driven(Flaws::default()));
-    assert!(figures.rate_change_rms < 2.0 * quiet.rate_change_rms);
+    assert!(errors.rate_change_rms < 2.0 * quiet.rate_change_rms);
     // Uniformly distributed within ± √3 standard deviations.
     let deviation = worst(
         "30 µm of standard deviation",
@@ -183,18 +183,18 @@ fn motors_need_not_be_known_exactly() {
         });
         let name = format!("delay {delay_s} s, lag {time_constant_s} s");
         let known = actuator(0.015, 0.03);
-        let figures = worst(
+        let errors = worst(
             &name,
             Driven {
                 actuator: known,
                 ..lagging
             },
         );
-        assert!(figures.mean_mm < 0.15 && figures.max_mm < 0.5);
+        assert!(errors.mean_mm < 0.15 && errors.max_mm < 0.5);
         // Without the model the estimate also compensates for most of the lag.
         let unknown = worst(&format!("{name}, unknown"), lagging);
         assert!(unknown.mean_mm < 0.3 && unknown.max_mm < 1.0);
-        assert!(unknown.mean_mm > figures.mean_mm);
+        assert!(unknown.mean_mm > errors.mean_mm);
     }
 }
 
@@ -312,7 +312,7 @@ fn a_body_that_is_known_to_be_beside_its_model_keeps_clear() {
 fn the_tip_alone_is_enough_where_the_robot_begins_where_it_is_taken_to_be() {
     for &(tip_noise_m, mean_mm) in crate::cases(1, &[(5e-4, 0.25), (1e-4, 0.1)]) {
         let name = format!("tip alone, {tip_noise_m} m");
-        let figures = worst(
+        let errors = worst(
             &name,
             Driven {
                 sensor: Sensor::Tip { every: 1 },
@@ -322,7 +322,7 @@ fn the_tip_alone_is_enough_where_the_robot_begins_where_it_is_taken_to_be() {
                 })
             },
         );
-        assert!(figures.mean_mm < mean_mm);
+        assert!(errors.mean_mm < mean_mm);
     }
 }
 
@@ -345,10 +345,10 @@ fn motors_run_through_the_play_of_their_cables() {
     assert!(unknown.mean_mm > 0.6);
     for known_m in crate::cases(1, &[4e-4, 5e-4, 6e-4]) {
         let name = format!("play of 0.5 mm, known as {known_m} m");
-        let figures = worst(&name, with_play(*known_m));
-        assert!(figures.mean_mm < 0.3 && figures.max_mm < 2.0);
+        let errors = worst(&name, with_play(*known_m));
+        assert!(errors.mean_mm < 0.3 && errors.max_mm < 2.0);
         // Tip noise does not drive the cables through their play.
-        assert!(figures.rate_change_rms < 1.1 * unknown.rate_change_rms);
+        assert!(errors.rate_change_rms < 1.1 * unknown.rate_change_rms);
     }
 }
 

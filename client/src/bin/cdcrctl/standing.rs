@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use anyhow::bail;
-use cdcr_client::{Asked, Connection, PoseDifference, RequestError};
+use cdcr_client::{Connection, PoseDifference, RequestError, RequestName};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 
@@ -23,7 +23,7 @@ pub(crate) fn check_stands(connection: &Connection, before: &Telemetry) -> anyho
     let status = connection.status(STATUS)?;
     if status.lease_holder != 0 {
         return Err(RequestError::Refused {
-            asked: Asked::Request(RequestKind::AcquireLease),
+            asked: RequestName::Request(RequestKind::AcquireLease),
             outcome: Outcome::LeaseHeld,
             mode: Mode::try_from(status.mode)?,
             pose: PoseDifference::default(),

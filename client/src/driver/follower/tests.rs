@@ -95,7 +95,7 @@ fn velocity(cycle: u64, rate_rad_s: f64) -> Command {
     command(Interface::Velocity, cycle, 0.0, rate_rad_s)
 }
 
-fn of(sender_id: u64, mut command: Command) -> Command {
+fn sent_by(sender_id: u64, mut command: Command) -> Command {
     command.header.sender_id = sender_id;
     command
 }
@@ -114,7 +114,7 @@ fn take(follower: &mut CommandFollower, command: &Command) -> Result<(), Command
 }
 
 /// Bend and first cable at a time in periods.
-fn at(follower: &CommandFollower, periods: f64) -> (f64, f64) {
+fn sampled_at(follower: &CommandFollower, periods: f64) -> (f64, f64) {
     let now_ns = (periods * PERIOD_NS as f64) as u64;
     let position = follower.position_at(now_ns).unwrap();
     (position.bend_rad[0], position.cable_length_m[0])
@@ -148,19 +148,19 @@ fn a_position_is_reached_at_its_target_time_and_never_passed() {
         (0.2, LENGTH_M - 0.0125 * 0.2),
         (0.206, LENGTH_M - 0.0125 * 0.206),
     );
-    assert_eq!(at(&follower, 11.0), before);
+    assert_eq!(sampled_at(&follower, 11.0), before);
     // Taken at 11.2, 1 ms after its release.
-    assert_eq!(at(&follower, 11.2), before);
-    let half = at(&follower, 11.6);
+    assert_eq!(sampled_at(&follower, 11.2), before);
+    let half = sampled_at(&follower, 11.6);
     assert!((half.0 - 0.203).abs() < 1e-15 && (half.1 - (LENGTH_M - 0.0125 * 0.203)).abs() < 1e-15);
     for periods in [12.0, 13.0, 14.0, 1e6] {
-        assert_eq!(at(&follower, periods), after);
+        assert_eq!(sampled_at(&follower, periods), after);
     }
     // Before the release, the position is that of the previous command.
-    assert_eq!(at(&follower, 3.0), before);
+    assert_eq!(sampled_at(&follower, 3.0), before);
     let mut last = before.0;
     for step in 0..1000 {
-        let (bend, _) = at(&follower, 11.0 + f64::from(step) * 1e-3);
+        let (bend, _) = sampled_at(&follower, 11.0 + f64::from(step) * 1e-3);
         assert!((last..=after.0).contains(&bend));
         last = bend;
     }
@@ -170,7 +170,7 @@ fn a_position_is_reached_at_its_target_time_and_never_passed() {
 fn a_first_position_is_taken_as_it_is() {
     let follower = follower(Interface::Position, &[position(10, 0.2)]);
     for periods in [0.0, 10.0, 10.3, 11.0, 99.0] {
-        assert_eq!(at(&follower, periods).0, 0.2);
+        assert_eq!(sampled_at(&follower, periods).0, 0.2);
     }
 }
 
@@ -202,10 +202,10 @@ fn a_position_that_runs_out_on_its_way_stays_where_it_is() {
     let mut short = position(11, 0.206);
     short.valid_until_ns = short.release_ns + PERIOD_NS * 3 / 5;
     let follower = follower(Interface::Position, &[position(10, 0.2), short]);
-    let half = at(&follower, 11.6);
+    let half = sampled_at(&follower, 11.6);
     assert!((half.0 - 0.203).abs() < 1e-15);
     for periods in [11.7, 12.0, 20.0] {
-        assert_eq!(at(&follower, periods), half);
+        assert_eq!(sampled_at(&follower, periods), half);
     }
 }
 
@@ -223,18 +223,18 @@ fn lost_commands_make_no_move_faster_than_the_robot() {
         let step_rad = 0.1 * period_s * fastest_rad_s;
         let mut last = 0.2;
         for step in 0..300 {
-            let bend = at(&follower, 20.0 + 0.1 * f64::from(step)).0;
+            let bend = sampled_at(&follower, 20.0 + 0.1 * f64::from(step)).0;
             assert!(bend >= last && bend - last <= step_rad * 1.000_01);
             last = bend;
         }
         // The command was taken at 20.2 and expired during the move; the next one continues from there.
         assert!((last - 0.2 - 2.8 * period_s * fastest_rad_s).abs() < 1e-6);
         take(&mut follower, &position(24, end_rad)).unwrap();
-        assert_eq!(at(&follower, 24.0).0, last);
+        assert_eq!(sampled_at(&follower, 24.0).0, last);
         for cycle in 25..36 {
             take(&mut follower, &position(cycle, end_rad)).unwrap();
         }
-        assert_eq!(at(&follower, 40.0).0, end_rad);
+        assert_eq!(sampled_at(&follower, 40.0).0, end_rad);
     }
 }
 
@@ -322,7 +322,7 @@ fn a_refused_command_changes_nothing_and_is_counted() {
             with(|next| next.valid_until_ns = 11 * PERIOD_NS - 9),
             "9 ns after it had expired",
         ),
-        (of(OTHER, next), "a second daemon"),
+        (sent_by(OTHER, next), "a second daemon"),
         (velocity(11, 2.1), "bend at 2.1 rad/s, the limit is 2"),
         (velocity(11, -2.1), "bend at -2.1 rad/s"),
         (
@@ -385,7 +385,7 @@ fn a_position_beyond_a_limit_is_followed_only_on_its_way_back() {
 #[test]
 fn loaded_motors_stay_inside_their_limits() {
     let mut follower = takeover::taken_over(2.8);
-    let outwards = |u_rad| of(OTHER, position(30, u_rad));
+    let outwards = |u_rad| sent_by(OTHER, position(30, u_rad));
     let refusal = take(&mut follower, &outwards(2.36)).unwrap_err();
     assert!(
         matches!(refusal, CommandRefusal::Bend { section: 0, bend_rad, .. } if bend_rad > 2.85),
@@ -394,7 +394,7 @@ fn loaded_motors_stay_inside_their_limits() {
     take(&mut follower, &outwards(2.34)).unwrap();
     // No daemon begins beyond a limit or at no number.
     for wrong in [3.5, 1e300, f64::NAN] {
-        take(&mut follower, &of(OTHER + 1, position(60, wrong))).unwrap_err();
+        take(&mut follower, &sent_by(OTHER + 1, position(60, wrong))).unwrap_err();
     }
 }
 
@@ -406,6 +406,6 @@ fn a_forgotten_command_is_rest() {
         assert_eq!(follower.rates_at(10 * PERIOD_NS), CommandedRates::default());
         assert_eq!(follower.position_at(10 * PERIOD_NS), None);
         take(&mut follower, &command(interface, 11, 0.5, 1.0)).unwrap();
-        assert_eq!(at(&follower, 11.0).0, 0.5);
+        assert_eq!(sampled_at(&follower, 11.0).0, 0.5);
     }
 }

@@ -6,11 +6,11 @@ use super::MAGNITUDE_MAX;
 /// Problem in a reference file, with its location.
 #[derive(Debug)]
 pub struct TrajectoryFileError {
-    /// The file.
+    /// The reference file as it was named.
     pub path: PathBuf,
     /// Number of the line, from 1; `None` for the whole file.
     pub line: Option<u64>,
-    /// The problem.
+    /// What is wrong there.
     pub problem: TrajectoryFileProblem,
 }
 
@@ -74,7 +74,7 @@ pub enum TrajectoryFileProblem {
         "{column} is {text:?}; it must be a finite number, at most {MAGNITUDE_MAX:e} either way"
     )]
     NotANumber {
-        /// The column.
+        /// Name of the column.
         column: &'static str,
         /// Text of the cell.
         text: String,

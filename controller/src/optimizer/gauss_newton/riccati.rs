@@ -114,7 +114,7 @@ impl Riccati {
         model: &LinearModel,
         budget: &mut Budget<'_>,
     ) -> bool {
-        let mut group = Group::<W>::at(RowStage::FIRST_BLOCK);
+        let mut group = Group::<W>::new(RowStage::FIRST_BLOCK);
         for row in 0..model.cost_rows() {
             if !budget.spend((W * W / 2) as u32) {
                 return false;
@@ -135,7 +135,7 @@ impl Riccati {
         step: &mut [f64],
         budget: &mut Budget<'_>,
     ) -> Option<bool> {
-        let mut group = Group::<W>::at(RowStage::FIRST_BLOCK);
+        let mut group = Group::<W>::new(RowStage::FIRST_BLOCK);
         for index in 0..model.constraints() {
             if !budget.spend((W * W / 2) as u32) {
                 return None;
@@ -184,7 +184,7 @@ impl Riccati {
 }
 
 impl<const W: usize> Group<W> {
-    fn at(stage: RowStage) -> Self {
+    fn new(stage: RowStage) -> Self {
         Self {
             stage,
             quadratic: [[0.0; W]; W],
@@ -196,7 +196,7 @@ impl<const W: usize> Group<W> {
     fn move_to(&mut self, stage: RowStage, blocks: &mut [f64]) {
         if stage != self.stage {
             self.store(blocks);
-            *self = Self::at(stage);
+            *self = Self::new(stage);
         }
     }
 

@@ -54,7 +54,7 @@ impl Limits<'_> {
         let mut planes = Planes::at_rest(stopping, desired);
         let mut fastest_rad_s = most_rad_s;
         for _ in 0..TRIED_MAX {
-            let Some(plane) = Plane::of(&region, stopping, fastest_rad_s) else {
+            let Some(plane) = Plane::from_region(&region, stopping, fastest_rad_s) else {
                 break;
             };
             planes.insert(plane);
@@ -88,7 +88,7 @@ impl Limits<'_> {
 
 impl Plane {
     /// The plane of the last solution; `None` without a solution.
-    fn of(region: &Region, stopping: Stopping, fastest_rad_s: f64) -> Option<Self> {
+    fn from_region(region: &Region, stopping: Stopping, fastest_rad_s: f64) -> Option<Self> {
         let sensitivity = region.sensitivity()?;
         let inverse_path_1_s = 1.0 / stopping.path(fastest_rad_s).path_s;
         Some(Self {

@@ -13,7 +13,7 @@ fn rates(values: [f64; 4]) -> BendRates {
     BendRates::from_slice(&values).expect("two sections")
 }
 
-fn at(values: [f64; 4]) -> Configuration {
+fn configuration(values: [f64; 4]) -> Configuration {
     Configuration::from_slice(&values).expect("two sections")
 }
 
@@ -58,14 +58,14 @@ proptest! {
         parameters.cable_stroke_max_m = stroke_m;
         parameters.cable_speed_max_m_s = speed_m_s;
         let robot = Robot::new(&parameters).expect("legal");
-        let shortened = shorten(&robot, &at(bends), &rates(ramp), PERIOD_S).rates;
+        let shortened = shorten(&robot, &configuration(bends), &rates(ramp), PERIOD_S).rates;
         for (rate, ramp) in shortened.as_slice().iter().zip(ramp) {
             prop_assert!(rate.abs() <= ramp.abs() && rate * ramp >= 0.0, "{rate} of {ramp}");
         }
-        let rest = shorten(&robot, &at(bends), &BendRates::zero(2), PERIOD_S);
+        let rest = shorten(&robot, &configuration(bends), &BendRates::zero(2), PERIOD_S);
         prop_assert_eq!((rest.rates, rest.hit), (BendRates::zero(2), LimitsHit::default()));
         // Inside the limits nothing is lost that a limit does not ask for.
-        let inside = at(bends).bend_rad(0).max(at(bends).bend_rad(1)) < 2.0;
+        let inside = configuration(bends).bend_rad(0).max(configuration(bends).bend_rad(1)) < 2.0;
         if inside && stroke_m > 0.09 && speed_m_s > 0.095 && ramp.iter().all(|rate| rate.abs() < 1.0) {
             prop_assert_eq!(shortened, rates(ramp));
         }
@@ -80,7 +80,7 @@ proptest! {
         desired_rates in prop::array::uniform4(-3.0..3.0_f64),
         change_rad_s in 0.0..1.0_f64,
     ) {
-        let (robot, straight) = (robot(), at([0.0; 4]));
+        let (robot, straight) = (robot(), configuration([0.0; 4]));
         let limits = Limits::new(&robot, &straight, PERIOD_S);
         let limits = limits.with_acceleration(&rates(previous), change_rad_s);
         let limited = limits.nearest(&rates(desired_rates));
@@ -97,7 +97,7 @@ proptest! {
 #[test]
 fn legal_rates_pass_unchanged() {
     let desired_rates = rates([0.1, -0.2, 0.3, 0.4]);
-    let limited = limit(&robot(), &at([0.1; 4]), &desired_rates, PERIOD_S);
+    let limited = limit(&robot(), &configuration([0.1; 4]), &desired_rates, PERIOD_S);
     assert_eq!(
         (limited.rates, limited.hit),
         (desired_rates, LimitsHit::default())
@@ -108,7 +108,7 @@ fn legal_rates_pass_unchanged() {
 fn rates_and_non_finite_rates_are_cut() {
     let limited = limit(
         &robot(),
-        &at([0.0; 4]),
+        &configuration([0.0; 4]),
         &rates([9.0, 0.0, -9.0, 0.0]),
         PERIOD_S,
     );
@@ -122,7 +122,7 @@ fn rates_and_non_finite_rates_are_cut() {
     );
     let limited = limit(
         &robot(),
-        &at([0.0; 4]),
+        &configuration([0.0; 4]),
         &rates([f64::NAN, 0.0, 1.0, 0.0]),
         PERIOD_S,
     );
@@ -133,7 +133,7 @@ fn rates_and_non_finite_rates_are_cut() {
 /// Rates and states of another robot move nothing, wherever they are given.
 #[test]
 fn what_has_another_number_of_sections_is_no_command() {
-    let (robot, here, legal) = (robot(), at([0.0; 4]), rates([0.1; 4]));
+    let (robot, here, legal) = (robot(), configuration([0.0; 4]), rates([0.1; 4]));
     for sections in [1, 3] {
         let other_rates = BendRates::zero(sections);
         let other_at = Configuration::straight(sections);
@@ -155,13 +155,13 @@ fn what_has_another_number_of_sections_is_no_command() {
 #[test]
 fn a_bend_never_leaves_its_limit_and_returns_when_it_is_beyond() {
     let robot = robot();
-    let mut bend = at([2.79, 0.0, 0.0, -2.79]);
+    let mut bend = configuration([2.79, 0.0, 0.0, -2.79]);
     for _ in 0..20 {
         let limited = limit(&robot, &bend, &rates([2.0, 2.0, 2.0, -2.0]), PERIOD_S);
         bend = bend.advanced(&limited.rates, PERIOD_S);
         assert!(bend.bend_rad(0) <= 2.8 + 1e-12 && bend.bend_rad(1) <= 2.8 + 1e-12);
     }
-    let beyond = at([2.9, 0.0, 0.0, 0.0]);
+    let beyond = configuration([2.9, 0.0, 0.0, 0.0]);
     let limited = limit(&robot, &beyond, &rates([2.0, 0.0, 0.0, 0.0]), PERIOD_S);
     assert!(limited.hit.bend && limited.rates.as_slice()[0] < 0.0);
 }
@@ -173,7 +173,7 @@ fn cables_keep_their_speed_limit() {
     let robot = Robot::new(&parameters).expect("legal");
     let limited = limit(
         &robot,
-        &at([0.0; 4]),
+        &configuration([0.0; 4]),
         &rates([2.0, 0.0, 2.0, 0.0]),
         PERIOD_S,
     );
@@ -191,7 +191,7 @@ fn no_cable_leaves_its_stroke_and_one_beyond_it_comes_back() {
         let strokes_m = robot.cable_strokes(bend);
         strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()))
     };
-    let (mut bend, mut hits) = (at([0.0; 4]), 0);
+    let (mut bend, mut hits) = (configuration([0.0; 4]), 0);
     for step in 0..400 {
         let turn = f64::from(step).sin();
         let desired_rates = rates([2.0, 0.3 * turn, 1.5, -turn]);
@@ -201,7 +201,7 @@ fn no_cable_leaves_its_stroke_and_one_beyond_it_comes_back() {
         assert!(farthest_m(&bend) <= 0.02 + 1e-15, "{}", farthest_m(&bend));
     }
     assert!(hits > 100, "{hits}");
-    let beyond = at([1.8, 0.0, 0.0, 0.0]);
+    let beyond = configuration([1.8, 0.0, 0.0, 0.0]);
     let out = limit(&robot, &beyond, &rates([1.0, 0.0, 0.0, 0.0]), PERIOD_S);
     assert!(out.hit.cable_stroke);
     assert!(
@@ -243,7 +243,7 @@ proptest! {
         let parameters = RobotParameters { cable_stroke_max_m: stroke_m, ..slow_robot(limit_m_s).parameters() };
         let slow = Robot::new(&parameters).expect("legal");
         let free = Robot::new(&RobotParameters { tip_speed_max_m_s: 0.0, ..parameters }).expect("legal");
-        let (at, previous, desired_rates) = (at(bends), rates(previous), rates(desired_rates));
+        let (at, previous, desired_rates) = (configuration(bends), rates(previous), rates(desired_rates));
         let limits = |robot| Limits::new(robot, &at, PERIOD_S).with_acceleration(&previous, change_rad_s);
         let (slow, free) = (limits(&slow), limits(&free));
         for (limited, free) in [
@@ -279,7 +279,7 @@ proptest! {
 #[test]
 fn a_tip_speed_that_overflows_permits_no_rates() {
     let robot = slow_robot(0.1);
-    let far = at([1e160, 0.0, 1e200, 1.0]);
+    let far = configuration([1e160, 0.0, 1e200, 1.0]);
     let limits = Limits::new(&robot, &far, PERIOD_S);
     for desired_rates in [rates([1.0; 4]), rates([f64::MAX; 4]), BendRates::zero(2)] {
         for limited in [

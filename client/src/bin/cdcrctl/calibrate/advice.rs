@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use cdcr_controller::calibration::{Held, Parameter, Why};
+use cdcr_controller::calibration::{Held, HeldReason, Parameter};
 use cdcr_controller::robot::{Robot, RobotParameters};
 
 use super::recording::Recording;
@@ -16,7 +16,7 @@ pub(super) fn needs_motion(held: &Held) -> bool {
         held.parameter,
         Parameter::BaseRotation(2) | Parameter::SensorPosition(2)
     );
-    held.why != Why::Asked && !is_never_determined
+    held.why != HeldReason::Requested && !is_never_determined
 }
 
 /// The bends of the recording, and what to do.

@@ -48,7 +48,8 @@ pub(super) struct DemoReport {
     pub(super) baseline: Option<Baseline>,
     /// Reason of that failure.
     pub(super) baseline_error: Option<String>,
-    pub(super) verdict: Diagnosis,
+    #[serde(rename = "verdict")]
+    pub(super) diagnosis: Diagnosis,
     pub(super) realtime: bool,
     pub(super) realtime_missing: Vec<&'static str>,
     pub(super) wake_us: Spread,
@@ -76,7 +77,7 @@ impl DemoReport {
             |of: fn(&Cycle) -> f64| Spread::from_values(cycles.iter().map(of)).unwrap_or_default();
         let causes = MissCauses::new(cycles, &run.incidents);
         let baseline = run.baseline.as_ref().ok();
-        let verdict = Diagnosis::new(&causes, baseline, run.steal, status.realtime_missing);
+        let diagnosis = Diagnosis::new(&causes, baseline, run.steal, status.realtime_missing);
         Ok(Self {
             sections: options.sections,
             cycles: cycles.len(),
@@ -91,7 +92,7 @@ impl DemoReport {
             steal: run.steal,
             baseline: baseline.cloned(),
             baseline_error: run.baseline.as_ref().err().cloned(),
-            verdict,
+            diagnosis,
             skipped_periods: cycles.iter().map(|c| u64::from(c.skipped_periods)).sum(),
             realtime: missing.is_empty(),
             realtime_missing: missing.iter().map(|&(name, _)| name).collect(),

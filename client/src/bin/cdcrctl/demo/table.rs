@@ -45,7 +45,7 @@ pub(super) fn text(report: &DemoReport, status: &Status) -> Result<String, Error
     counts(&mut out, report, status)?;
     beside(&mut out, report)?;
     real_time(&mut out, status)?;
-    diagnosis(&mut out, &report.verdict)?;
+    diagnosis(&mut out, &report.diagnosis)?;
     if let Some(folder) = &report.out {
         writeln!(
             out,
@@ -253,7 +253,7 @@ mod tests {
         }
         assert!(text.ends_with("cdcrd doctor\n"), "{text}");
         let one_line = text.replace('\n', " ");
-        assert!(one_line.contains(&report.verdict.text), "{text}");
+        assert!(one_line.contains(&report.diagnosis.text), "{text}");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use cdcr_client::{Connection, ObstacleSender, TelemetryStream, counted, monotoni
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{Header, Obstacle};
 
-use super::scene::{self, Change, What};
+use super::scene::{self, Action, Change};
 use super::{TIMEOUT, accepted, check};
 use crate::Done;
 use crate::files::read_text;
@@ -46,7 +46,7 @@ pub(super) fn file(connection: &Connection, path: &Path, far: bool) -> anyhow::R
     scene::check_count(&changes).map_err(|cause| anyhow!("{name}: {cause}"))?;
     let status = connection.status(TIMEOUT)?;
     for change in &changes {
-        if let What::Upsert(obstacle) = &change.what {
+        if let Action::Upsert(obstacle) = &change.action {
             check(obstacle, &status, far, true)
                 .with_context(|| format!("{name}: line {}", change.number))?;
         }
@@ -94,11 +94,11 @@ pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> 
         let mut together = Vec::new();
         let mut bad = None;
         for read in std::iter::once(first).chain(waiting) {
-            let checked = read.and_then(|change| match &change.what {
-                What::Upsert(obstacle) => check(obstacle, &status, far, false)
+            let checked = read.and_then(|change| match &change.action {
+                Action::Upsert(obstacle) => check(obstacle, &status, far, false)
                     .map(|()| change.clone())
                     .map_err(|cause| format!("line {}: {cause:#}", change.number)),
-                What::Remove(_) => Ok(change),
+                Action::Remove(_) => Ok(change),
             });
             match checked {
                 Ok(change) => together.push(change),
@@ -180,18 +180,21 @@ impl Feed {
     /// Sends the changes in order, in as few messages as possible.
     fn send(&mut self, changes: &[Change]) -> anyhow::Result<()> {
         let is_same = |one: &Change, next: &Change| {
-            matches!((&one.what, &next.what), (What::Upsert(_), What::Upsert(_)))
+            matches!(
+                (&one.action, &next.action),
+                (Action::Upsert(_), Action::Upsert(_))
+            )
         };
         for group in changes.chunk_by(is_same) {
-            if let What::Remove(ids) = &group[0].what {
+            if let Action::Remove(ids) = &group[0].action {
                 let header = self.sender.remove(ids)?;
                 self.note(&header, group)?;
                 continue;
             }
             for some in group.chunks(OBSTACLES_MAX) {
-                let obstacle = |change: &Change| match &change.what {
-                    What::Upsert(obstacle) => Some(*obstacle),
-                    What::Remove(_) => None,
+                let obstacle = |change: &Change| match &change.action {
+                    Action::Upsert(obstacle) => Some(*obstacle),
+                    Action::Remove(_) => None,
                 };
                 let obstacles: Vec<Obstacle> = some.iter().filter_map(obstacle).collect();
                 let header = self.sender.upsert_anywhere(&obstacles)?;
@@ -237,7 +240,7 @@ mod tests {
         let line = |number| Change {
             number,
             time_s: 0.0,
-            what: What::Remove(vec![]),
+            action: Action::Remove(vec![]),
         };
         let lines: Vec<_> = (2..=65).map(line).collect();
         let error = |sent: &[Change]| refused(sent, &anyhow!("it is full"), 1).to_string();

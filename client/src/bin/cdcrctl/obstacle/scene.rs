@@ -17,11 +17,11 @@ pub(super) struct Change {
     pub(super) number: usize,
     /// Time since the start of the scene \[s\].
     pub(super) time_s: f64,
-    pub(super) what: What,
+    pub(super) action: Action,
 }
 
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum What {
+pub(super) enum Action {
     Upsert(Obstacle),
     Remove(Vec<u32>),
 }
@@ -29,14 +29,14 @@ pub(super) enum What {
 impl Change {
     /// Sets the time of the measurement \[ns\].
     pub(super) fn stamp(&mut self, measured_ns: u64) {
-        if let What::Upsert(obstacle) = &mut self.what {
+        if let Action::Upsert(obstacle) = &mut self.action {
             obstacle.measured_ns = measured_ns;
         }
     }
 
     /// Sets the time of the measurement if it has none.
     pub(super) fn stamp_where_none(&mut self, measured_ns: u64) {
-        if matches!(&self.what, What::Upsert(obstacle) if obstacle.measured_ns == 0) {
+        if matches!(&self.action, Action::Upsert(obstacle) if obstacle.measured_ns == 0) {
             self.stamp(measured_ns);
         }
     }
@@ -98,15 +98,15 @@ pub(super) fn check_count(changes: &[Change]) -> Result<(), String> {
     let mut present = BTreeMap::new();
     for change in changes {
         present.retain(|_, until_s| change.time_s < *until_s);
-        match &change.what {
-            What::Upsert(obstacle) => {
+        match &change.action {
+            Action::Upsert(obstacle) => {
                 let until_s = match obstacle.lifetime_ns {
                     0 => f64::INFINITY,
                     ns => change.time_s + ns as f64 * 1e-9,
                 };
                 present.insert(obstacle.id, until_s);
             }
-            What::Remove(ids) => present.retain(|id, _| !ids.contains(id)),
+            Action::Remove(ids) => present.retain(|id, _| !ids.contains(id)),
         }
         if present.len() > OBSTACLES_MAX {
             return Err(format!(
@@ -148,12 +148,12 @@ pub(super) fn parse_line(number: usize, line: &str) -> Result<Option<Change>, St
 
 fn change(number: usize, value: Value) -> Result<Change, String> {
     let is_removal = value.get("remove").is_some();
-    let (time_s, what) = if is_removal {
+    let (time_s, action) = if is_removal {
         let removed: Removed = read(value)?;
-        (removed.time_s, What::Remove(removed.remove))
+        (removed.time_s, Action::Remove(removed.remove))
     } else {
         let known: Known = read(value)?;
-        (known.time_s, What::Upsert(obstacle(&known)?))
+        (known.time_s, Action::Upsert(obstacle(&known)?))
     };
     if !(0.0..=DURATION_MAX_S).contains(&time_s) {
         return Err(format!(
@@ -163,7 +163,7 @@ fn change(number: usize, value: Value) -> Result<Change, String> {
     Ok(Change {
         number,
         time_s,
-        what,
+        action,
     })
 }
 
@@ -230,8 +230,8 @@ mod tests {
         let array = serde_json::to_string_pretty(&rows).expect("JSON");
         for text in [lines, array] {
             let changes = parse(&text).expect("legal");
-            let read: Vec<_> = changes.into_iter().map(|change| change.what).collect();
-            assert_eq!(read, all.map(What::Upsert));
+            let read: Vec<_> = changes.into_iter().map(|change| change.action).collect();
+            assert_eq!(read, all.map(Action::Upsert));
         }
     }
 
@@ -256,9 +256,9 @@ mod tests {
         let changes = parse(text).expect("legal");
         let times_s: Vec<_> = changes.iter().map(|change| change.time_s).collect();
         assert_eq!(times_s, [0.0, 1.5, 2.0]);
-        let shapes = changes.iter().filter_map(|change| match &change.what {
-            What::Upsert(obstacle) => Some(ObstacleShape::text_of(obstacle.shape)),
-            What::Remove(ids) => {
+        let shapes = changes.iter().filter_map(|change| match &change.action {
+            Action::Upsert(obstacle) => Some(ObstacleShape::text_of(obstacle.shape)),
+            Action::Remove(ids) => {
                 assert_eq!(ids, &[3]);
                 None
             }

@@ -37,11 +37,11 @@ fn moving() -> CommandFollower {
 fn motors_that_missed_commands_stay_in_stopped_and_faulted() {
     for mode in [Mode::Stopped, Mode::Faulted] {
         let mut follower = moving();
-        let (stands_rad, stands_m) = at(&follower, 99.0);
+        let (stands_rad, stands_m) = sampled_at(&follower, 99.0);
         let far_rad = stands_rad + 0.5;
         for cycle in 100..120 {
             take(&mut follower, &in_mode(mode, cycle, far_rad)).unwrap();
-            let (bend_rad, length_m) = at(&follower, cycle as f64 + 1.0);
+            let (bend_rad, length_m) = sampled_at(&follower, cycle as f64 + 1.0);
             assert!((bend_rad - stands_rad).abs() < 1e-12, "{bend_rad}");
             assert!((length_m - stands_m).abs() < 1e-12, "{length_m}");
         }
@@ -49,7 +49,7 @@ fn motors_that_missed_commands_stay_in_stopped_and_faulted() {
         for cycle in 120..=220 {
             let back_rad = far_rad - 0.005 * (cycle - 120) as f64;
             take(&mut follower, &in_mode(Mode::Holding, cycle, back_rad)).unwrap();
-            let (bend_rad, _) = at(&follower, cycle as f64 + 1.0);
+            let (bend_rad, _) = sampled_at(&follower, cycle as f64 + 1.0);
             assert!((bend_rad - stands_rad).abs() < 1e-12, "{bend_rad}");
         }
         // From there they move as the position does.
@@ -58,7 +58,7 @@ fn motors_that_missed_commands_stay_in_stopped_and_faulted() {
             &in_mode(Mode::Tracking, 221, stands_rad + STEP_RAD),
         )
         .unwrap();
-        let (bend_rad, _) = at(&follower, 222.0);
+        let (bend_rad, _) = sampled_at(&follower, 222.0);
         assert!((bend_rad - stands_rad - STEP_RAD).abs() < 1e-12);
     }
 }
@@ -70,7 +70,7 @@ fn a_gap_without_motion_keeps_the_bits_of_the_position() {
         let mut follower = follower(Interface::Position, &[first]);
         for cycle in [10, 30, 60, 61, 90] {
             take(&mut follower, &in_mode(mode, cycle, 0.1 + 0.2)).unwrap();
-            assert_eq!(at(&follower, cycle as f64 + 1.0).0, 0.1 + 0.2);
+            assert_eq!(sampled_at(&follower, cycle as f64 + 1.0).0, 0.1 + 0.2);
             assert_eq!(follower.offset(), None);
         }
     }
@@ -79,17 +79,17 @@ fn a_gap_without_motion_keeps_the_bits_of_the_position() {
 /// Largest speed after a gap of `gap` periods during a motion that ends in cycle `last` \[rad/s\], and the cycle in
 /// which the motors have caught up.
 fn catch_up(gap: u64, last: u64, follower: &mut CommandFollower) -> (f64, u64) {
-    let (mut before, mut fastest) = (at(follower, 999.0).0, 0.0_f64);
+    let (mut before, mut fastest) = (sampled_at(follower, 999.0).0, 0.0_f64);
     for cycle in 20 + gap.. {
         let u_rad = moved_rad(cycle, last);
         take(follower, &in_mode(Mode::Tracking, cycle, u_rad)).unwrap();
         for part in 3..=12 {
-            let (bend_rad, _) = at(follower, cycle as f64 + 0.1 * f64::from(part));
+            let (bend_rad, _) = sampled_at(follower, cycle as f64 + 0.1 * f64::from(part));
             let turn_s = 1e-10 * PERIOD_NS as f64;
             fastest = fastest.max((bend_rad - before).abs() / turn_s);
             before = bend_rad;
         }
-        if (at(follower, cycle as f64 + 1.0).0 - u_rad).abs() < 1e-12 {
+        if (sampled_at(follower, cycle as f64 + 1.0).0 - u_rad).abs() < 1e-12 {
             return (fastest, cycle);
         }
         assert!(cycle < 900, "the motors never catch up");
@@ -126,11 +126,11 @@ fn a_stop_ends_the_catching_up() {
     }
     let stopped_rad = moved_rad(75, 99);
     take(&mut follower, &in_mode(Mode::Stopped, 75, stopped_rad)).unwrap();
-    let stands_rad = at(&follower, 75.2).0;
+    let stands_rad = sampled_at(&follower, 75.2).0;
     assert!(stopped_rad - stands_rad > 20.0 * STEP_RAD);
     for cycle in 76..200 {
         take(&mut follower, &in_mode(Mode::Stopped, cycle, stopped_rad)).unwrap();
-        assert!((at(&follower, cycle as f64 + 1.0).0 - stands_rad).abs() < 1e-12);
+        assert!((sampled_at(&follower, cycle as f64 + 1.0).0 - stands_rad).abs() < 1e-12);
     }
 }
 
@@ -141,7 +141,7 @@ fn a_slow_driver_does_not_fall_behind() {
     for cycle in (24..400).step_by(4) {
         let u_rad = moved_rad(cycle, 999);
         take(&mut follower, &in_mode(Mode::Tracking, cycle, u_rad)).unwrap();
-        let behind_rad = u_rad - at(&follower, cycle as f64 + 3.9).0;
+        let behind_rad = u_rad - sampled_at(&follower, cycle as f64 + 3.9).0;
         assert!(behind_rad.abs() < 1e-12, "cycle {cycle}: {behind_rad} rad");
     }
 }

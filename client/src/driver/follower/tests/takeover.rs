@@ -38,7 +38,7 @@ fn a_command_for_another_driver_is_refused_by_one_that_measures() {
 fn another_daemon_is_followed_when_the_old_one_has_run_out() {
     let mut follower = follower(Interface::Position, &[position(10, 0.2)]);
     // Two daemons at once: the second one is refused, whatever its sequence numbers.
-    let refusal = take(&mut follower, &of(OTHER, position(11, 0.3))).unwrap_err();
+    let refusal = take(&mut follower, &sent_by(OTHER, position(11, 0.3))).unwrap_err();
     assert!(matches!(
         refusal,
         CommandRefusal::OtherDaemon {
@@ -47,12 +47,12 @@ fn another_daemon_is_followed_when_the_old_one_has_run_out() {
         }
     ));
     // A restarted daemon starts its sequence numbers again.
-    let mut first = of(OTHER, position(14, 0.201));
+    let mut first = sent_by(OTHER, position(14, 0.201));
     (first.cycle, first.header.sequence) = (0, 1);
     take(&mut follower, &first).unwrap();
     assert_eq!(follower.sender_id(), Some(OTHER));
-    assert_eq!(at(&follower, 14.0).0, 0.2);
-    assert!((at(&follower, 15.0).0 - 0.2).abs() < 1e-15);
+    assert_eq!(sampled_at(&follower, 14.0).0, 0.2);
+    assert!((sampled_at(&follower, 15.0).0 - 0.2).abs() < 1e-15);
     // Queued commands of the old daemon are late.
     let left = take(&mut follower, &position(13, 0.9)).unwrap_err();
     assert!(matches!(left, CommandRefusal::NotNewer { .. }));
@@ -66,9 +66,9 @@ pub(super) fn taken_over(u_rad: f64) -> CommandFollower {
     follower.robot.cable_stroke_max_m = 1.0;
     take(&mut follower, &position(10, u_rad)).unwrap();
     for cycle in 20..30 {
-        take(&mut follower, &of(OTHER, position(cycle, u_rad - 0.5))).unwrap();
+        take(&mut follower, &sent_by(OTHER, position(cycle, u_rad - 0.5))).unwrap();
         for part in 0..10 {
-            let (bend_rad, length_m) = at(&follower, cycle as f64 + 0.1 * f64::from(part));
+            let (bend_rad, length_m) = sampled_at(&follower, cycle as f64 + 0.1 * f64::from(part));
             assert!((bend_rad - u_rad).abs() < 1e-12, "{bend_rad}");
             let first_m = position(cycle, u_rad).cable_length_m[0];
             assert!((length_m - first_m).abs() < 1e-12, "{length_m}");
@@ -83,8 +83,8 @@ fn a_restarted_daemon_does_not_move_loaded_motors() {
     // They move as its positions do, at their distance, and stand still to the bit when these do.
     let mut stood = None;
     for cycle in 30..40 {
-        take(&mut follower, &of(OTHER, position(cycle, 0.702))).unwrap();
-        let (bend_rad, _) = at(&follower, cycle as f64 + 1.0);
+        take(&mut follower, &sent_by(OTHER, position(cycle, 0.702))).unwrap();
+        let (bend_rad, _) = sampled_at(&follower, cycle as f64 + 1.0);
         assert!((bend_rad - 1.202).abs() < 1e-12, "{bend_rad}");
         assert_eq!(*stood.get_or_insert(bend_rad), bend_rad);
     }
@@ -92,14 +92,18 @@ fn a_restarted_daemon_does_not_move_loaded_motors() {
     // A daemon that fails again and again, whatever it measures.
     for (number, u_rad) in [(1, 0.6), (2, 0.9), (3, 0.7)] {
         let cycle = 50 + 10 * number;
-        take(&mut follower, &of(OTHER + number, position(cycle, u_rad))).unwrap();
-        assert!((at(&follower, cycle as f64 + 1.0).0 - 1.202).abs() < 1e-12);
+        take(
+            &mut follower,
+            &sent_by(OTHER + number, position(cycle, u_rad)),
+        )
+        .unwrap();
+        assert!((sampled_at(&follower, cycle as f64 + 1.0).0 - 1.202).abs() < 1e-12);
     }
     // Motors that were without torque begin at the robot.
     follower.forget();
     assert_eq!(follower.offset(), None);
-    take(&mut follower, &of(OTHER + 3, position(90, 0.7))).unwrap();
-    assert_eq!(at(&follower, 91.0).0, 0.7);
+    take(&mut follower, &sent_by(OTHER + 3, position(90, 0.7))).unwrap();
+    assert_eq!(sampled_at(&follower, 91.0).0, 0.7);
 }
 
 /// The robot was moved by hand while the daemon was away, and has sprung back to its motors since: after the
@@ -109,7 +113,7 @@ fn motors_stay_while_the_commanded_position_moves_to_them() {
     let mut follower = taken_over(1.2);
     let holding = |cycle, u_rad| Command {
         mode: Mode::Holding.code(),
-        ..of(OTHER, position(cycle, u_rad))
+        ..sent_by(OTHER, position(cycle, u_rad))
     };
     for step in 0..=100 {
         take(
@@ -117,12 +121,12 @@ fn motors_stay_while_the_commanded_position_moves_to_them() {
             &holding(30 + step, 0.7 + 0.005 * step as f64),
         )
         .unwrap();
-        let (bend_rad, _) = at(&follower, 31.0 + step as f64);
+        let (bend_rad, _) = sampled_at(&follower, 31.0 + step as f64);
         assert!((bend_rad - 1.2).abs() < 1e-12, "{bend_rad}");
     }
     // Any other motion moves them, also back.
     for (cycle, u_rad) in [(131, 1.195), (132, 1.19)] {
-        take(&mut follower, &of(OTHER, position(cycle, u_rad))).unwrap();
-        assert!((at(&follower, cycle as f64 + 1.0).0 - u_rad).abs() < 1e-12);
+        take(&mut follower, &sent_by(OTHER, position(cycle, u_rad))).unwrap();
+        assert!((sampled_at(&follower, cycle as f64 + 1.0).0 - u_rad).abs() < 1e-12);
     }
 }
