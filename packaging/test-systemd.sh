@@ -99,7 +99,7 @@ step "reload, the signal of the stop, a restart while a client feeds"
 inside sh -c 'printf "[controller]\nrefinement_steps = 2\n" >> /etc/cdcr/cdcr.toml'
 inside systemctl reload cdcrd
 until_true logged 'applied keys.*controller.refinement_steps' || fail "reload"
-# Each time, systemd sets the mode of the folder back, and the daemon mends it.
+# Each time, systemd sets the mode of the folder back, and the daemon restores it.
 for _ in 1 2 3 4 5; do
   inside systemctl reload cdcrd
   sleep 0.3

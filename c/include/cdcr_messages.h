@@ -54,7 +54,7 @@
 /* Prediction steps N of the optimal control problem. */
 #define CDCR_HORIZON_STEPS_MAX 50
 
-/* Control blocks M ≤ N that the daemon optimises, as far as a plan has room for them. */
+/* Control blocks M ≤ N that the daemon optimises, limited by the plan size. */
 #define CDCR_CONTROL_BLOCKS_MAX 50
 
 /* Scalars of a plan: the rates of every section in every control block, 50 blocks of three sections, 25 of six.
@@ -485,7 +485,7 @@ typedef struct CdcrSolverSettings {
     uint32_t coordinates;
     /* 8: Prediction steps N. */
     uint32_t horizon_steps;
-    /* 12: Control blocks M ≤ N, as far as a plan has room; 0 means M = N. */
+    /* 12: Control blocks M ≤ N, limited by the plan size; 0 means M = N. */
     uint32_t control_blocks;
     /* 16: Particles. */
     uint32_t swarm_size;
@@ -615,7 +615,7 @@ CDCR_ASSERT_SIZE(CdcrRobotDescription, 328);
 typedef struct CdcrLatencySummary {
     /* 0: Values counted. */
     uint64_t count;
-    /* 8: ns. Smallest. */
+    /* 8: ns. Smallest of the values. */
     uint64_t min_ns;
     /* 16: ns. Median. */
     uint64_t p50_ns;
@@ -623,7 +623,7 @@ typedef struct CdcrLatencySummary {
     uint64_t p99_ns;
     /* 32: ns. 99.9th percentile. */
     uint64_t p999_ns;
-    /* 40: ns. Largest. */
+    /* 40: ns. Largest of the values. */
     uint64_t max_ns;
 } CdcrLatencySummary;
 CDCR_ASSERT_SIZE(CdcrLatencySummary, 48);
@@ -751,7 +751,7 @@ typedef struct CdcrStatus {
     /* 1440: How far the tip may be from where the bends place it [m], as in Telemetry: that much thicker the body
      * counts in clearance_m. */
     double tip_margin_m;
-    /* 1448: The robot. */
+    /* 1448: The robot of the daemon's configuration. */
     CdcrRobotDescription robot;
     /* 1776: The solver's settings. */
     CdcrSolverSettings settings;
@@ -978,7 +978,7 @@ typedef struct CdcrTelemetry {
     double previous_rate_rad_s[12];
     /* 1704: The solver's settings in this cycle. */
     CdcrSolverSettings settings;
-    /* 1872: The robot. */
+    /* 1872: The robot of the daemon's configuration. */
     CdcrRobotDescription robot;
     /* 2200: First cycle of the reference window: the samples reach from its release past the horizon, by up to 60
      * periods (60 at 5 ms). */
@@ -1030,7 +1030,7 @@ typedef struct CdcrTelemetry {
     double present_rad[12];
     /* 14080: The tip as it was measured beside bends or cables [m]; zero when it was not. */
     double tip_measured_m[3];
-    /* 14104: When [ns]. */
+    /* 14104: When the tip of tip_measured_m was measured [ns, CLOCK_MONOTONIC]. */
     uint64_t tip_measured_ns;
     /* 14112: How far the tip is measured beside where the bends place it, smoothed [m]. The plan's reference is
      * moved back by it. */

@@ -126,9 +126,7 @@ impl Session {
         mut write: impl FnMut(usize, Telemetry),
     ) -> Result<(usize, u64), Failure> {
         if capacity == 0 {
-            return Err(Failure::argument(
-                "capacity is 0: there is no room for a record",
-            ));
+            return Err(Failure::argument("capacity is 0: it must be at least 1"));
         }
         let telemetry = self.telemetry()?;
         let mut count = 0;

@@ -128,7 +128,7 @@ static void arguments(CdcrConnection *open, CdcrDriver *moves) {
     SAYS(cdcr_telemetry_read(open, 0, records, 1, &count, NULL), CDCR_ERROR_ARGUMENT, "cdcr_telemetry_open first");
     IS(cdcr_telemetry_open(open), CDCR_OK);
     IS(cdcr_telemetry_open(open), CDCR_OK);
-    SAYS(cdcr_telemetry_read(open, 0, records, 0, &count, NULL), CDCR_ERROR_ARGUMENT, "no room");
+    SAYS(cdcr_telemetry_read(open, 0, records, 0, &count, NULL), CDCR_ERROR_ARGUMENT, "at least 1");
     SAYS(cdcr_telemetry_read(open, 0, NULL, 1, &count, NULL), CDCR_ERROR_ARGUMENT, "records is NULL");
     SAYS(cdcr_telemetry_read(open, 0, records, 1, NULL, NULL), CDCR_ERROR_ARGUMENT, "count is NULL");
     /* A buffer that is too small is filled; the next call returns the rest. */

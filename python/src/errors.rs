@@ -89,7 +89,8 @@ impl From<Failure> for PyErr {
 /// Remedy for errors that only a bug in this package can raise.
 pub(crate) const REPORT: &str =
     "This is an error of the package: report it with the call that raised it.";
-const ROOM: &str = "Free memory in the file system of the root folder: df shows how much is left.";
+const FREE_MEMORY: &str =
+    "Free memory in the file system of the root folder: df shows how much is left.";
 const RANGE: &str = "Give a value inside the range; units are SI and end the names.";
 
 impl From<RobotError> for Failure {
@@ -132,7 +133,7 @@ impl From<LinkError> for Failure {
                 return Self::argument(&error, "Convert to m, or send it anyway with far=True.");
             }
             LinkError::Port { .. } | LinkError::Askers { .. } => "Close another client.",
-            LinkError::Memory { .. } => ROOM,
+            LinkError::Memory { .. } => FREE_MEMORY,
             LinkError::Silent { liveness, .. } => next_after_silence(*liveness),
             LinkError::ChunkPoints { .. } | LinkError::Obstacles { .. } => "Send fewer at a time.",
             LinkError::Send { .. } | LinkError::Receive { .. } => "Connect again.",

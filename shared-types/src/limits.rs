@@ -47,7 +47,7 @@ limits! {
     /// Prediction steps N of the optimal control problem.
     HORIZON_STEPS_MAX = 50;
 
-    /// Control blocks M ≤ N that the daemon optimises, as far as a plan has room for them.
+    /// Control blocks M ≤ N that the daemon optimises, limited by the plan size.
     CONTROL_BLOCKS_MAX = 50;
 
     /// Scalars of a plan: the rates of every section in every control block, 50 blocks of three sections, 25 of six. It

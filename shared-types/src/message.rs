@@ -45,7 +45,7 @@ pub struct Layout {
     pub name: &'static str,
     /// Name and version on the wire.
     pub type_name: &'static str,
-    /// Bytes.
+    /// Size of the struct \[bytes\].
     pub size: usize,
     /// Fields in memory order, without gaps.
     pub fields: &'static [Field],
@@ -58,7 +58,7 @@ pub struct Field {
     pub name: &'static str,
     /// Description from the doc comment.
     pub doc: &'static str,
-    /// Offset \[bytes\].
+    /// Offset from the begin of the message \[bytes\].
     pub offset: usize,
     /// Type of the field.
     pub kind: Kind,
@@ -90,7 +90,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Size \[bytes\].
+    /// Size of one value of this kind \[bytes\].
     pub fn size(&self) -> usize {
         match self {
             Self::U8 => 1,

@@ -179,7 +179,7 @@ const ROOT_MAX: usize = 100;
 /// A robot name that cannot be part of a service name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ServiceNameError {
-    /// The name.
+    /// The rejected name.
     pub robot: String,
 }
 

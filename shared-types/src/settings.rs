@@ -12,7 +12,7 @@ message! {
         coordinates: u32 [code Coordinates],
         /// Prediction steps N.
         horizon_steps: u32,
-        /// Control blocks M ≤ N, as far as a plan has room; 0 means M = N.
+        /// Control blocks M ≤ N, limited by the plan size; 0 means M = N.
         control_blocks: u32,
         /// Particles.
         swarm_size: u32,

@@ -43,7 +43,7 @@ message! {
     pub struct LatencySummary "cdcr.LatencySummary.v1" {
         /// Values counted.
         count: u64,
-        /// Smallest.
+        /// Smallest of the values.
         min_ns: u64,
         /// Median.
         p50_ns: u64,
@@ -51,7 +51,7 @@ message! {
         p99_ns: u64,
         /// 99.9th percentile.
         p999_ns: u64,
-        /// Largest.
+        /// Largest of the values.
         max_ns: u64,
     }
 
@@ -177,7 +177,7 @@ message! {
         /// in `clearance_m`.
         tip_margin_m: f64,
 
-        /// The robot.
+        /// The robot of the daemon's configuration.
         robot: RobotDescription,
         /// The solver's settings.
         settings: SolverSettings,

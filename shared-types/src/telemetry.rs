@@ -185,7 +185,7 @@ message! {
         previous_rate_rad_s: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// The solver's settings in this cycle.
         settings: SolverSettings,
-        /// The robot.
+        /// The robot of the daemon's configuration.
         robot: RobotDescription,
         /// First cycle of the reference window: the samples reach from its release past the horizon, by up to 60
         /// periods (60 at 5 ms).
@@ -238,7 +238,7 @@ message! {
         present_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// The tip as it was measured beside bends or cables \[m\]; zero when it was not.
         tip_measured_m: [f64; 3],
-        /// When \[ns\].
+        /// When the tip of `tip_measured_m` was measured \[ns, `CLOCK_MONOTONIC`\].
         tip_measured_ns: u64,
         /// How far the tip is measured beside where the bends place it, smoothed \[m\]. The plan's reference is moved back by it.
         tip_offset_m: [f64; 3],

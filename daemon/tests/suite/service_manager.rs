@@ -11,7 +11,7 @@ fn value(key: &str) -> &'static str {
 }
 
 #[test]
-fn the_unit_leaves_alone_what_a_restart_cannot_mend() {
+fn the_unit_leaves_alone_what_a_restart_cannot_repair() {
     let named: Vec<u8> = value("RestartPreventExitStatus=")
         .split_whitespace()
         .map(|number| number.parse().unwrap())
