@@ -30,6 +30,15 @@ impl Straight {
             moving_s: by_speed_s.max(by_acceleration_s),
         }
     }
+
+    /// Share of the distance that is gone at `time_s`.
+    pub fn share(&self, time_s: f64) -> f64 {
+        if time_s >= self.moving_s {
+            return 1.0;
+        }
+        let s = time_s.max(0.0) / self.moving_s;
+        s * s * s * (10.0 - s * (15.0 - 6.0 * s))
+    }
 }
 
 impl Trajectory for Straight {
@@ -45,8 +54,7 @@ impl Trajectory for Straight {
         if time_s >= self.moving_s {
             return self.end_m;
         }
-        let s = time_s.max(0.0) / self.moving_s;
-        let gone = s * s * s * (10.0 - s * (15.0 - 6.0 * s));
+        let gone = self.share(time_s);
         core::array::from_fn(|i| self.start_m[i] + gone * (self.end_m[i] - self.start_m[i]))
     }
 }

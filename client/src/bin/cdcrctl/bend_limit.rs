@@ -58,6 +58,11 @@ impl BendShare {
         }
     }
 
+    /// The bend as a share of its limit.
+    pub(crate) fn share(self) -> f64 {
+        self.share
+    }
+
     /// It, where the section is at its limit.
     pub(crate) fn at_limit(self) -> Option<Self> {
         (self.share > 1.0 - AT_LIMIT).then_some(self)

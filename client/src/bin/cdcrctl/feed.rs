@@ -23,6 +23,7 @@ use crate::dry_run::{self, newest};
 use crate::interrupt::Interrupt;
 use crate::obstacle_in_way;
 use crate::reach;
+use crate::shape_choice::Guided;
 use crate::standing::{MOVED_M, STATUS, check_stands, distance_m};
 use crate::stop_cause::stop_remedy;
 use crate::tip_error::TipError;
@@ -148,6 +149,7 @@ pub(crate) fn go(
     let way = Straight::new(begin_m, goal_m, arguments.speed, arguments.acceleration);
     check_unit(&way, reach_m)?;
     reach::check_point(&before, goal_m, arguments.max_error)?;
+    let way = Guided::new(&before, way, arguments.max_error)?;
     let options = go_options();
     let demands = dry_run::compute(connection, &way, &options)?;
     if arguments.dry_run {

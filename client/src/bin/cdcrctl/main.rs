@@ -34,6 +34,7 @@ mod request;
 mod reset;
 mod setting;
 mod settings;
+mod shape_choice;
 mod show_status;
 mod spread;
 mod standing;

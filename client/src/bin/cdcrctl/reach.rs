@@ -178,7 +178,11 @@ fn nearest(
 }
 
 /// Damped least-squares iterations, each projected into the bend limits.
-fn approached(robot: &Robot, from: &Configuration, point_m: &Vector3<f64>) -> (Configuration, f64) {
+pub(crate) fn approached(
+    robot: &Robot,
+    from: &Configuration,
+    point_m: &Vector3<f64>,
+) -> (Configuration, f64) {
     let mut jacobian = Jacobian::new();
     let mut shape = within_limits(robot, *from);
     let mut left_m = point_m - robot.tip_jacobian(&shape, &mut jacobian).position_m;
