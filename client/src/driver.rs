@@ -3,6 +3,7 @@ mod commanded;
 mod follower;
 mod measured;
 mod refusal;
+mod section_ends;
 
 use std::cell::Cell;
 use std::thread;

@@ -3,7 +3,7 @@ use std::ops::Range;
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode};
 use cdcr_shared_types::{Command, Measurement, RobotDescription};
 
-use super::{CommandRefusal, CommandedPosition, CommandedRates, bounds};
+use super::{CommandRefusal, CommandedPosition, CommandedRates, bounds, section_ends};
 
 /// Rates and positions that a driver applies at any time, from the received commands. Rates expire, positions
 /// do not overshoot, and inadmissible commands are refused.
@@ -42,8 +42,10 @@ struct Present {
     /// Offset of the positions from those of the command, since another daemon has taken over, or since a command was
     /// taken after a gap in Stopped or Faulted.
     offset: Option<CommandedPosition>,
-    /// Highest speed of the move as a share of the robot's; below 1 while it catches up after a gap.
+    /// Highest speed of the move as a share of the robot's; 1 unless it catches up.
     pace: f64,
+    /// It makes up for a gap, for longer than a period.
+    catches_up: bool,
     /// Time at which the command was taken and the move began \[ns\].
     begin_ns: u64,
     /// Time at which the move ends \[ns\].
@@ -62,7 +64,7 @@ impl Present {
 
     /// A command at `now_ns` comes after a gap: the present one has expired, or the gap before it is not yet caught up.
     fn has_gap(&self, now_ns: u64) -> bool {
-        now_ns >= self.command.valid_until_ns || self.pace < 1.0
+        now_ns >= self.command.valid_until_ns || self.catches_up
     }
 
     /// Completed part of the move, 0 to 1.
@@ -143,17 +145,26 @@ impl CommandFollower {
         // The robot was measured at the first position: there is no move to it.
         let begin = begin.unwrap_or(end);
         // Late commands must not make up for their delay by a jump.
-        let shortest_s = bounds::shortest_s(&self.robot, &begin, &end) - ROUNDING_S;
-        let pace = self.pace(command, shortest_s, now_ns);
+        let tip_max_m_s = self.tip_speed_max_m_s(command, offset.as_ref());
+        let shortest_s = self.shortest_s(&begin, &end, tip_max_m_s) - ROUNDING_S;
+        let has_gap = self
+            .present
+            .as_ref()
+            .is_some_and(|present| present.has_gap(now_ns));
+        let pace = self.pace(command, shortest_s, tip_max_m_s, now_ns);
         let takes_ns = (1e9 * (shortest_s / pace).clamp(0.0, MOVE_MAX_S)) as u64;
         let arrives_ns = now_ns.saturating_add(takes_ns);
         let is_late = arrives_ns > command.target_ns;
+        // At full speed a move of one period ends as late as it began.
+        let is_long = pace < 1.0 || takes_ns > command.target_ns - command.release_ns;
+        let catches_up = has_gap && is_late && is_long;
         self.present = Some(Present {
             command: *command,
             begin,
             end,
             offset,
-            pace: if is_late { pace } else { 1.0 },
+            pace: if catches_up { pace } else { 1.0 },
+            catches_up,
             begin_ns: now_ns,
             end_ns: command.target_ns.max(arrives_ns),
         });
@@ -167,14 +178,14 @@ impl CommandFollower {
 
     /// Highest speed of a move that takes `shortest_s` at the robot's largest one, as a share of that speed. After a gap:
     /// [`CATCH_UP`] times the mean speed of the way that was missed, or of the commands if these are faster now.
-    fn pace(&self, command: &Command, shortest_s: f64, now_ns: u64) -> f64 {
+    fn pace(&self, command: &Command, shortest_s: f64, tip_max_m_s: f64, now_ns: u64) -> f64 {
         let Some(present) = self.present.as_ref() else {
             return 1.0;
         };
         if !present.has_gap(now_ns) {
             return 1.0;
         }
-        let missed = if present.pace < 1.0 {
+        let missed = if present.catches_up {
             present.pace
         } else {
             let missed_ns = command
@@ -183,16 +194,57 @@ impl CommandFollower {
                 .max(1);
             CATCH_UP * shortest_s * 1e9 / missed_ns as f64
         };
-        let commanded = CATCH_UP * self.commanded_share(&present.command, command);
+        let commanded = CATCH_UP * self.commanded_share(&present.command, command, tip_max_m_s);
         missed.max(commanded).clamp(PACE_MIN, 1.0)
     }
 
     /// Mean speed from `before` to `command`, as a share of the robot's largest one.
-    fn commanded_share(&self, before: &Command, command: &Command) -> f64 {
+    fn commanded_share(&self, before: &Command, command: &Command, tip_max_m_s: f64) -> f64 {
         let positions = [before, command].map(CommandedPosition::from_command);
         let [begin, end] = &positions;
         let takes_ns = command.target_ns.saturating_sub(before.target_ns).max(1);
-        bounds::shortest_s(&self.robot, begin, end) * 1e9 / takes_ns as f64
+        self.shortest_s(begin, end, tip_max_m_s) * 1e9 / takes_ns as f64
+    }
+
+    /// Minimum time of a move in which no section end is faster than `tip_max_m_s` \[s\].
+    fn shortest_s(
+        &self,
+        begin: &CommandedPosition,
+        end: &CommandedPosition,
+        tip_max_m_s: f64,
+    ) -> f64 {
+        let shortest_s = bounds::shortest_s(&self.robot, begin, end);
+        if tip_max_m_s == f64::INFINITY {
+            return shortest_s;
+        }
+        shortest_s.max(section_ends::way_m(&self.robot, begin, end) / tip_max_m_s)
+    }
+
+    /// Largest speed of a section end \[m/s\]: the robot's, or that of the commands where it is larger, because the daemon
+    /// has limited it in the estimated shape. Infinite without a limit.
+    fn tip_speed_max_m_s(&self, command: &Command, offset: Option<&CommandedPosition>) -> f64 {
+        let limit_m_s = self.robot.tip_speed_max_m_s;
+        if self.interface != Interface::Position || limit_m_s <= 0.0 {
+            return f64::INFINITY;
+        }
+        let Some(present) = self
+            .present
+            .as_ref()
+            .filter(|present| present.is_of_sender(command))
+        else {
+            return limit_m_s;
+        };
+        let takes_ns = command.target_ns.saturating_sub(present.command.target_ns);
+        if takes_ns == 0 {
+            return limit_m_s;
+        }
+        let positions = [&present.command, command].map(|command| {
+            let commanded = CommandedPosition::from_command(command);
+            offset.map_or(commanded, |offset| commanded.plus(offset))
+        });
+        let [begin, end] = &positions;
+        let way_m = section_ends::way_m(&self.robot, begin, end);
+        limit_m_s.max(way_m * 1e9 / takes_ns as f64)
     }
 
     /// Offset from the positions of `command`. The positions of another daemon begin where it has measured the
@@ -339,12 +391,12 @@ impl CommandFollower {
     /// Stopped or Faulted then: the motors hold. For a driver that obeys
     /// [`Interface::Position`].
     ///
-    /// The position never overshoots the target and never exceeds the robot's largest rates, so it may arrive
-    /// later, after lost or late commands. It is constant from `valid_until_ns` on. Another daemon does not move
+    /// The position never overshoots the target and never exceeds the robot's largest rates, cable speeds and speed of the
+    /// section ends, so it may arrive later, after lost or late commands. It is constant from `valid_until_ns` on. Another daemon does not move
     /// it by taking over ([`offset`](Self::offset)).
     ///
     /// If the next command comes after that time, because the driver hung or commands were lost, the position catches up
-    /// at about twice the speed of the commands. In Stopped and Faulted it stays where it stands, and keeps its distance.
+    /// at about twice the speed of the commands, inside these limits. In Stopped and Faulted it stays where it stands, and keeps its distance.
     pub fn position_at(&self, now_ns: u64) -> Option<CommandedPosition> {
         self.present.as_ref().map(|present| {
             let now_ns = now_ns.min(present.command.valid_until_ns);

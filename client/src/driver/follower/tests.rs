@@ -2,6 +2,8 @@ mod first;
 mod gap;
 mod rest;
 mod takeover;
+#[cfg(feature = "model")]
+mod tip_speed;
 use cdcr_shared_types::codes::MeasurementKind;
 use cdcr_shared_types::{Header, SectionDescription};
 
