@@ -154,6 +154,62 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
 }
 
 #[test]
+fn keys_hold_and_stop_the_robot_while_the_terminal_is_not_read() {
+    let daemon = Daemon::start("");
+    let connection = daemon.connect();
+    let mut feed = daemon.place().command("cdcrctl");
+    let line = "ref circle --duration 600s --track";
+    feed.args(line.split(' ')).stdout(Stdio::null());
+    let _feed = Running::start(feed.stderr(Stdio::null()));
+    let is_mode = |mode: Mode| wait_status(&connection, |status| status.mode == mode.code());
+    is_mode(Mode::Tracking);
+    for key in ["s", " "] {
+        let (mut terminal, theirs) = Terminal::new(100, 30);
+        let mut top = shown(&daemon, &theirs, &["top"]);
+        terminal.wait_for("side x, z");
+        // The reader of the terminal waits for this lock, and the output fills the rest.
+        let shown = Arc::clone(&terminal.shown);
+        let unread = shown.lock().unwrap();
+        fill(&terminal.keys);
+        if key == "s" {
+            terminal.press("h");
+            is_mode(Mode::Holding);
+        }
+        terminal.press(key);
+        is_mode(Mode::Stopped);
+        drop(unread);
+        terminal.wait_for("stop: accepted");
+        terminal.press("q");
+        assert_eq!(top.wait(String::new).code(), Some(0));
+        ask_for(&connection, RequestKind::Reset);
+    }
+}
+
+/// Writes to a terminal that is not read, until it takes no more.
+fn fill(keys: &File) {
+    let name = ptsname(keys, Vec::new()).unwrap();
+    let mut options = std::fs::OpenOptions::new();
+    let flags = NOCTTY | OFlags::NONBLOCK.bits().cast_signed();
+    let screen = options.write(true).custom_flags(flags);
+    let mut screen = screen.open(name.to_str().unwrap()).unwrap();
+    let mut refused = 0;
+    while refused < 20 {
+        // A terminal shows nothing for this byte.
+        match screen.write(&[0; 256]) {
+            Ok(length) => {
+                assert!(length > 0);
+                refused = 0;
+            }
+            Err(error) => {
+                assert_eq!(error.kind(), ErrorKind::WouldBlock);
+                refused += 1;
+                std::thread::sleep(Duration::from_millis(10));
+            }
+        }
+    }
+}
+
+#[test]
 fn a_daemon_that_ends_is_reported_and_the_next_one_is_watched() {
     // A period that a stall does not fill: late cycles would displace the awaited event from the list. One of
     // them is not a lost measurement.

@@ -2,6 +2,7 @@
 //! answer.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
 use cdcr_shared_types::Location;
@@ -12,51 +13,59 @@ use crate::{request, wait};
 /// Outcome of a request as text.
 pub(super) type Answer = (RequestKind, Result<String, String>);
 
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Asker {
     location: Location,
     robot: String,
-    /// Requests without an answer yet; at most one of each kind.
-    asked: Vec<RequestKind>,
+    asked: Asked,
     sender: Sender<Answer>,
-    answers: Receiver<Answer>,
+}
+
+/// Requests without an answer yet; at most one of each kind.
+#[derive(Debug, Default, Clone)]
+struct Asked(Arc<Mutex<Vec<RequestKind>>>);
+
+impl Asked {
+    /// No holder of the lock waits for anything.
+    fn kinds(&self) -> MutexGuard<'_, Vec<RequestKind>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Asker {
-    pub(super) fn new(location: Location, robot: &str) -> Self {
+    /// Returns it with its answers.
+    pub(super) fn new(location: Location, robot: &str) -> (Self, Receiver<Answer>) {
         let (sender, answers) = channel();
-        Self {
+        let asker = Self {
             location,
             robot: robot.to_owned(),
-            asked: Vec::new(),
+            asked: Asked::default(),
             sender,
-            answers,
-        }
+        };
+        (asker, answers)
     }
 
     /// Sends a request unless the same one is pending.
-    pub(super) fn ask(&mut self, kind: RequestKind) {
-        if self.asked.contains(&kind) {
+    pub(super) fn ask(&self, kind: RequestKind) {
+        let mut kinds = self.asked.kinds();
+        if kinds.contains(&kind) {
             return;
         }
-        self.asked.push(kind);
-        let (location, robot) = (self.location.clone(), self.robot.clone());
-        let answers = self.sender.clone();
+        kinds.push(kind);
+        drop(kinds);
+        let asker = self.clone();
         thread::spawn(move || {
-            let answer = request::ask(&location, &robot, kind);
+            let answer = request::ask(&asker.location, &asker.robot, kind);
             let words = answer.map(|response| wait::outcome_text(kind, &response));
+            asker.asked.kinds().retain(|asked| *asked != kind);
             // The receiver may have been dropped.
-            let _ = answers.send((kind, words.map_err(|error| format!("{error:#}"))));
+            let _ = asker
+                .sender
+                .send((kind, words.map_err(|error| format!("{error:#}"))));
         });
     }
 
-    pub(super) fn answer(&mut self) -> Option<Answer> {
-        let answer = self.answers.try_recv().ok()?;
-        self.asked.retain(|kind| *kind != answer.0);
-        Some(answer)
-    }
-
-    pub(super) fn asked(&self) -> &[RequestKind] {
-        &self.asked
+    pub(super) fn asked(&self) -> Vec<RequestKind> {
+        self.asked.kinds().clone()
     }
 }

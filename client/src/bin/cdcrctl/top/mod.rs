@@ -1,13 +1,18 @@
 //! `cdcrctl top`: live view of the robot and its loop in a terminal.
 //!
 //! It reads telemetry and status, and sends requests, like any other client.
+//!
+//! Invariant: the thread of the keys never writes to the terminal. Drawing blocks while nobody reads the terminal,
+//! and a key stops the robot nevertheless.
 
 mod asker;
 mod panels;
 mod recent;
 mod seen;
 
-use std::io::{IsTerminal as _, stdin, stdout};
+use std::io::{self, IsTerminal as _, stdin, stdout};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, ensure};
@@ -18,10 +23,10 @@ use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
 use crate::Done;
 use crate::args::{Target, TopOptions};
-use crate::interrupt::{Interrupt, QUIET};
+use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt, QUIET};
 use crate::keys::{self, Keys};
 use crate::picture::Signs;
-use asker::Asker;
+use asker::{Answer, Asker};
 use panels::Screen;
 use seen::Seen;
 
@@ -48,10 +53,12 @@ pub(crate) fn run(target: &Target, options: &TopOptions) -> anyhow::Result<Done>
     let telemetry = connection.telemetry()?;
     let (location, robot) = target.location()?;
     let interrupt = Interrupt::catch()?;
+    let (asker, answers) = Asker::new(location, robot);
     let mut top = Top {
         connection: &connection,
         telemetry,
-        asker: Asker::new(location, robot),
+        asker: asker.clone(),
+        answers,
         seen: Seen::default(),
         paused: None,
         zoom: 1.0,
@@ -63,20 +70,46 @@ pub(crate) fn run(target: &Target, options: &TopOptions) -> anyhow::Result<Done>
         heard: Instant::now(),
         silent: None,
     };
+    let (sender, actions) = channel();
+    thread::spawn(move || read_keys(&asker, &sender));
     // From here on a panic restores the terminal, too.
     let mut terminal = ratatui::try_init().context("the terminal")?;
     let every = Duration::from_secs(1) / u32::from(options.rate);
-    let watched = top.watch(&mut terminal, every, &interrupt);
+    let watched = top.watch(&mut terminal, every, &actions, &interrupt);
     let restored = ratatui::try_restore().context("the terminal");
     // A closed terminal cannot be restored; the first error is the relevant one.
     let done = watched?;
     restored.map(|()| done)
 }
 
+/// Sends the request of each key, and passes its action to the screen, until a key quits or the terminal is
+/// closed.
+fn read_keys(asker: &Asker, actions: &Sender<io::Result<Action>>) {
+    let mut keys = Keys::default();
+    loop {
+        let action = match keys.next_within(QUIET) {
+            Ok(key) => key.as_ref().and_then(action).map(Ok),
+            Err(error) => Some(Err(error)),
+        };
+        let Some(action) = action else {
+            continue;
+        };
+        if let Ok(Action::Ask(kind)) = action {
+            asker.ask(kind);
+        }
+        let is_last = matches!(action, Ok(Action::Quit) | Err(_));
+        // The receiver may have been dropped.
+        if actions.send(action).is_err() || is_last {
+            return;
+        }
+    }
+}
+
 struct Top<'a> {
     connection: &'a Connection,
     telemetry: TelemetryStream,
     asker: Asker,
+    answers: Receiver<Answer>,
     seen: Seen,
     /// State at the start of the pause.
     paused: Option<Box<Seen>>,
@@ -91,29 +124,30 @@ impl Top<'_> {
         &mut self,
         terminal: &mut DefaultTerminal,
         every: Duration,
+        actions: &Receiver<io::Result<Action>>,
         interrupt: &Interrupt,
     ) -> anyhow::Result<Done> {
-        let mut keys = Keys::default();
         loop {
             let begun = Instant::now();
             self.read_messages()?;
-            keys::drawn(terminal.draw(|frame| self.screen().draw(frame)))?;
-            // Handle each key at once, and draw when the next picture is due.
+            let asked = self.asker.asked();
+            keys::drawn(terminal.draw(|frame| self.screen(&asked).draw(frame)))?;
+            // Show each key at once, and draw when the next picture is due.
             loop {
-                let key = keys.next_within(every.saturating_sub(begun.elapsed()))?;
+                let left = every.saturating_sub(begun.elapsed());
+                let action = actions.recv_timeout(left.min(INTERRUPT_INTERVAL));
                 if interrupt.is_raised() {
                     return Ok(Done::Interrupted);
                 }
-                let Some(key) = key else {
-                    break;
-                };
-                if let Some(action) = action(&key) {
-                    if action == Action::Quit {
-                        return Ok(Done::Good);
-                    }
-                    self.act(action);
-                    break;
+                match action {
+                    Ok(action) => match action? {
+                        Action::Quit => return Ok(Done::Good),
+                        action => self.act(action),
+                    },
+                    Err(RecvTimeoutError::Timeout) if left > INTERRUPT_INTERVAL => continue,
+                    Err(_) => {}
                 }
+                break;
             }
         }
     }
@@ -137,7 +171,7 @@ impl Top<'_> {
                 Ok(_) => "no cycle for a second, but the daemon publishes its status".to_owned(),
             });
         }
-        while let Some((kind, answer)) = self.asker.answer() {
+        while let Ok((kind, answer)) = self.answers.try_recv() {
             self.seen.add_answer(kind, answer);
         }
         Ok(())
@@ -145,7 +179,6 @@ impl Top<'_> {
 
     fn act(&mut self, action: Action) {
         match action {
-            Action::Ask(kind) => self.asker.ask(kind),
             Action::Pause => {
                 self.paused = match self.paused.take() {
                     Some(_) => None,
@@ -154,18 +187,18 @@ impl Top<'_> {
             }
             Action::ZoomIn => self.zoom = (self.zoom * ZOOM_STEP).min(ZOOM_MAX),
             Action::ZoomOut => self.zoom = (self.zoom / ZOOM_STEP).max(ZOOM_MIN),
-            Action::Quit => {}
+            Action::Ask(_) | Action::Quit => {}
         }
     }
 
-    fn screen(&self) -> Screen<'_> {
+    fn screen<'s>(&'s self, asked: &'s [RequestKind]) -> Screen<'s> {
         Screen {
             live: &self.seen,
             shown: self.paused.as_deref().unwrap_or(&self.seen),
             is_paused: self.paused.is_some(),
             zoom: self.zoom,
             signs: self.signs,
-            asked: self.asker.asked(),
+            asked,
             silent: self.silent.as_deref(),
         }
     }
