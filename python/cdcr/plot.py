@@ -23,6 +23,8 @@ SHAPES = 4
 """So many shapes of the robot are drawn, from the first to the last."""
 
 OFFSET_M = 1e-4
+# A tip sensor that has measured nothing for this long is silent.
+SILENT_NS = 1_000_000_000
 """A larger distance of the tip from the end of the shape is drawn."""
 
 
@@ -146,7 +148,7 @@ def _shown(source: Source, seconds: float) -> _Shown:
     has_reference = np.isfinite(source["position_error_m"])
     sections = int(source["robot"]["sections"][0])
     measured_ns, measured_error_m = _measured_error(source, has_reference)
-    unused = source["tip_cause"][has_reference] != 0
+    unused = ((source["tip_cause"] != 0) | _is_silent(source))[has_reference]
     return _Shown(
         robot=_robot(source["robot"][0]),
         time_s=1e-9 * (source["release_ns"] - source["release_ns"][0]).astype(float),
@@ -161,6 +163,15 @@ def _shown(source: Source, seconds: float) -> _Shown:
         took="response time",
         deadline_s=1e-9 * float(source["deadline_ns"][-1]),
     )
+
+
+def _is_silent(source: Records) -> np.ndarray:
+    """Where the tip sensor is silent, from its last measurement on: tip and error are those of the model."""
+    tip_ns = source["tip_measured_ns"].astype(np.int64)
+    _, measurement = np.unique(tip_ns, return_inverse=True)
+    silent_ns = np.zeros(len(source), dtype=np.int64)
+    np.maximum.at(silent_ns, measurement, source["release_ns"].astype(np.int64) - tip_ns)
+    return (tip_ns > 0) & (silent_ns[measurement] > SILENT_NS)
 
 
 def _measured_error(source: Records, has_reference: np.ndarray) -> tuple[Doubles, Doubles]:

@@ -146,6 +146,10 @@ def test_the_error_without_the_measured_tip_is_named_so(recording: Path) -> None
         drawn, measured = ax.get_lines()
         assert (drawn.get_label(), measured.get_label()) == (words, "as measured")
         assert len(measured.get_xdata()) > has_reference.sum() / 2 and np.allclose(measured.get_ydata(), 161.0)
+    # A sensor that has been silent for longer than a second.
+    telemetry["tip_cause"] = 0
+    telemetry["tip_measured_ns"] = telemetry["release_ns"].min() - 2_000_000_000
+    assert plot.error(telemetry).get_lines()[0].get_label() == words
     plt.close("all")
 
 

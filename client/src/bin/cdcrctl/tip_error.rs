@@ -1,3 +1,5 @@
+mod silence;
+
 use std::collections::VecDeque;
 use std::io::Write;
 
@@ -7,6 +9,8 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, ReferenceState, TipCause, guard};
 
 use crate::bend_limit::BendShare;
+use crate::unmeasured_tip::{SILENT_NS, silence_ns};
+use silence::Silence;
 
 /// Distance between tip and reference while the robot tracked. The approach is counted separately.
 #[derive(Debug, Default)]
@@ -22,7 +26,7 @@ pub(crate) struct TipError {
     cycles: u64,
     /// Cycles in which limits or guard changed the command.
     limited_cycles: u64,
-    /// Cycles in which the newest measured tip was not in use: their error is by the model.
+    /// Cycles in which no fresh measured tip was in use: their error is by the model.
     unused_cycles: u64,
     sum_m: f64,
     max_m: f64,
@@ -34,6 +38,9 @@ pub(crate) struct TipError {
     /// The largest estimated error after an arrival.
     farthest: Farthest,
     measured: Measured,
+    silence: Silence,
+    /// Why the final error is by the model, if it is.
+    final_by_model: Option<String>,
 }
 
 /// A place of the reference that the tip was away from.
@@ -81,9 +88,10 @@ pub(crate) fn is_along(record: &Telemetry) -> bool {
     record.mode == Mode::Tracking.code() && is_inside(record) && !is_approach(record)
 }
 
-/// Whether the newest measured tip is not in use: tip and error are those of the model.
+/// Whether the newest measured tip is not in use, or the sensor silent since then: tip and error are those of the model.
 pub(crate) fn is_by_model(record: &Telemetry) -> bool {
     record.tip_cause != TipCause::None.code()
+        || silence_ns(record.release_ns, record.tip_measured_ns).is_some()
 }
 
 fn is_inside(record: &Telemetry) -> bool {
@@ -179,13 +187,19 @@ impl TipError {
         } else if is_inside(record) && record.release_ns >= self.start_ns {
             self.cycles += 1;
             self.limited_cycles += u64::from(record.guard_flags != 0);
-            self.unused_cycles += u64::from(is_by_model(record));
+            self.unused_cycles += self.silence.take(record);
             self.sum_m += record.position_error_m;
             self.max_m = self.max_m.max(record.position_error_m);
             self.final_m = record.position_error_m;
             self.at_limit = BendShare::at_limit_of(record);
             self.take_farthest(record);
             self.measured.take(record);
+            // Until its interval is known, a sensor may be slow.
+            let fresh_ns = match self.measured.interval_ns {
+                0 => SILENT_NS,
+                _ => self.measured.fresh_ns(),
+            };
+            self.final_by_model = silence::present_cause(record, fresh_ns);
         }
     }
 
@@ -269,6 +283,9 @@ impl TipError {
                 "measured by the tip sensor: mean {mean:.3}, max {max:.3} mm in {count} measurements, noise included"
             )?;
         }
+        if let Some(note) = self.unmeasured_note() {
+            writeln!(std::io::stdout(), "{note}")?;
+        }
         Ok(())
     }
 
@@ -324,7 +341,24 @@ impl TipError {
         is_now.then(|| self.measured.newest_m()).flatten()
     }
 
-    /// The share of the time in which the measured tip was not in use \[%\]; `None`: it always was, or there is none.
+    /// Names silence of the tip sensor, and the final error that is by the model.
+    fn unmeasured_note(&self) -> Option<String> {
+        const REMEDY: &str = "check the tip sensor (cdcrctl status, docs/drivers.md)";
+        let silent = self.silence.text().map(|silent| {
+            format!("{silent}: the errors of that time are by the model, with the offset of the tip as it was last")
+        });
+        let last = self.final_by_model.as_ref();
+        Some(match (silent, last) {
+            (Some(silent), None) => format!("{silent}; {REMEDY}"),
+            (Some(silent), Some(cause)) => {
+                format!("{silent}, also the final one ({cause}); {REMEDY}")
+            }
+            (None, Some(cause)) => format!("the final error is by the model: {cause}; {REMEDY}"),
+            (None, None) => return None,
+        })
+    }
+
+    /// The share of the time in which no fresh measured tip was in use \[%\]; `None`: one always was, or there is none.
     pub(crate) fn unused_percent(&self) -> Option<f64> {
         let percent = 100.0 * self.unused_cycles as f64 / self.cycles as f64;
         (self.unused_cycles > 0).then_some(percent)

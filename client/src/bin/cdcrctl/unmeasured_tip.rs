@@ -11,6 +11,14 @@ use cdcr_shared_types::{Status, Telemetry};
 use crate::dry_run::{newest, robot_and_pose};
 use crate::standing::{STATUS, distance_m};
 
+pub(crate) const SILENT_NS: u64 = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
+
+/// How long a tip sensor beside bends or cables has been silent; `None`: it measures, or none has measured \[ns\].
+pub(crate) fn silence_ns(now_ns: u64, measured_ns: u64) -> Option<u64> {
+    let silent_ns = now_ns.saturating_sub(measured_ns);
+    (measured_ns > 0 && silent_ns > SILENT_NS).then_some(silent_ns)
+}
+
 /// A tip sensor beside bends or cables that does not measure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Unheard {
@@ -26,9 +34,9 @@ impl Unheard {
             let is_missed = status.has_tip_sensor != 0 && status.mode != Mode::Starting.code();
             return is_missed.then_some(Self::Never);
         }
-        let silent_ns = status.header.sent_ns.saturating_sub(status.tip_measured_ns);
+        let silent_ns = silence_ns(status.header.sent_ns, status.tip_measured_ns)?;
         let seconds = silent_ns / 1_000_000_000;
-        (silent_ns > 1_000_000 * TIP_SENSOR_SILENT_MS as u64).then_some(Self::Silent { seconds })
+        Some(Self::Silent { seconds })
     }
 }
 

@@ -9,11 +9,16 @@ use cdcr_client::{
     section_lengths_m,
 };
 use cdcr_controller::plant::{Flaws, Preset};
-use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
+use cdcr_controller::robot::Configuration;
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{
+    Interface, MeasurementState, Mode, Outcome, Reason, ReferenceState, RequestKind,
+};
+use cdcr_tests::record::robot_of;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, TIMEOUT, ask_for, paper_line, refused, tracked, until_undisturbed, wait_record,
-    wait_status, wait_until,
+    Daemon, Program, TIMEOUT, ask_for, paper_line, refused, tracked, until_undisturbed,
+    wait_record, wait_status, wait_until,
 };
 
 use super::freeze;
@@ -352,4 +357,61 @@ fn a_tip_sensor_of_which_nothing_is_accepted_is_named_with_its_refusals() {
     assert_eq!((status.has_tip_sensor, status.tip_measured_ns), (1, 0));
     assert_eq!(status.tip_refused_by, in_the_future.code());
     assert!(status.tips_refused > 0 && status.since_reset.tips_not_used > 0);
+}
+
+/// The estimate goes on with the last offset, so its errors are small whatever the tip does: a person has to know it.
+#[test]
+fn a_tip_sensor_that_falls_silent_on_the_way_makes_the_errors_those_of_the_model() {
+    let separate = CONFIGURATION.replace("[link]\n", "[link]\ntip_sensor = \"separate\"\n");
+    let daemon = Daemon::start(&separate);
+    let (connection, beside) = (daemon.connect(), daemon.connect());
+    let sensor = beside.tip_sensor().unwrap();
+    let mut robot = Robot::new(&connection);
+    let model = robot_of(&connection.status(TIMEOUT).unwrap().robot);
+    let mut sent = 0_u32;
+    let mut sense = |robot: &mut Robot| {
+        sent += 1;
+        let noise_m = f64::from(sent % 7) * 1e-5;
+        let bends = robot.0.bend_rad();
+        let bends = Configuration::from_slice(&bends[..model.coordinate_count()]).unwrap();
+        let mut tip_m: [f64; 3] = model.tip_position(&bends).into();
+        tip_m[0] += OFFSET_M / 4.0 + noise_m;
+        sensor.send(monotonic_ns(), tip_m).unwrap();
+        robot.turn();
+    };
+    let mut telemetry = connection.telemetry().unwrap();
+    let mut sense_until = |robot: &mut Robot, is_it: &dyn Fn(&Telemetry) -> bool| {
+        let begin = Instant::now();
+        let mut is_done = false;
+        while !is_done {
+            assert!(begin.elapsed() < TIMEOUT, "it did not happen");
+            sense(robot);
+            while let Some(record) = telemetry.try_next().unwrap() {
+                is_done |= is_it(&record);
+            }
+        }
+    };
+    sense_until(&mut robot, &|record| {
+        record.mode == Mode::Holding.code() && record.tip_offset_m[0] > OFFSET_M / 8.0
+    });
+    let line = "ref circle --duration 10s --lead 1s --max-error 1m --track";
+    let mut command = daemon.place().command("cdcrctl");
+    let mut feed = Program::start(command.args(line.split(' ')));
+    sense_until(&mut robot, &|record| {
+        let is_approach = record.approach.duration_ns.max(record.approach.joining_ns) > 0;
+        let is_inside = record.reference.state == ReferenceState::Inside.code();
+        record.mode == Mode::Tracking.code() && is_inside && !is_approach
+    });
+    robot.run_until(|| !feed.runs());
+    let output = feed.output();
+    assert!(output.status.success(), "{output:?}");
+    let printed = String::from_utf8(output.stdout).unwrap();
+    for part in [
+        "tip error by the model (the measured tip was not in use for ",
+        "the tip sensor was silent for up to ",
+        "also the final one (tip sensor silent for ",
+        "check the tip sensor",
+    ] {
+        assert!(printed.contains(part), "{part}: {printed}");
+    }
 }

@@ -214,3 +214,55 @@ fn an_error_is_by_the_model_where_the_measured_tip_was_not_in_use() {
     assert_eq!(error.measured_now_m(), Some(0.25));
     assert_eq!(TipError::default().unused_percent(), None);
 }
+
+#[test]
+fn a_sensor_that_falls_silent_on_the_way_is_named_and_its_whole_silence_counts() {
+    const STEP_NS: u64 = 5_000_000;
+    // Measured for 100 cycles; then a pause that is no silence, and again; then silence to the end, or to the last cycle.
+    for (is_silent_at_the_end, notes) in [
+        (
+            true,
+            &[
+                "up to 2.0 s",
+                "also the final one (tip sensor silent for 2.0 s)",
+            ][..],
+        ),
+        (
+            false,
+            &[
+                "up to 2.0 s: the errors of that time are by the model",
+                "check the tip sensor",
+            ],
+        ),
+    ] {
+        let mut error = TipError::default();
+        let mut tip_ns = 0;
+        for cycle in 1..=600 {
+            let release_ns = cycle * STEP_NS;
+            let is_measured = cycle <= 100 || (150..=200).contains(&cycle);
+            if is_measured || cycle == 600 && !is_silent_at_the_end {
+                tip_ns = release_ns - 1;
+            }
+            let mut record = record(Mode::Tracking, ReferenceState::Inside, release_ns, 0.001);
+            record.tip_measured_ns = tip_ns;
+            error.take(&record);
+        }
+        let cycles = 399 + u64::from(is_silent_at_the_end);
+        assert!((cycles - 1..=cycles + 1).contains(&error.unused_cycles));
+        let note = error.unmeasured_note().expect("it was silent");
+        assert!(notes.iter().all(|part| note.contains(part)), "{note}");
+        assert_eq!(note.contains("final"), is_silent_at_the_end, "{note}");
+    }
+    // One that measures all the time, slowly, is not silent; nor is one that is not there.
+    for interval in [180, u64::MAX] {
+        let mut error = TipError::default();
+        for cycle in 1..=600 {
+            let release_ns = cycle * STEP_NS;
+            let mut record = record(Mode::Tracking, ReferenceState::Inside, release_ns, 0.001);
+            record.tip_measured_ns = cycle / interval * interval * STEP_NS;
+            error.take(&record);
+        }
+        assert_eq!(error.unused_percent(), None);
+        assert_eq!(error.unmeasured_note(), None);
+    }
+}

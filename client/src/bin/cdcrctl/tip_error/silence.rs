@@ -1,0 +1,52 @@
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::TipCause;
+
+use super::is_by_model;
+use crate::unmeasured_tip::silence_ns;
+
+/// Silence of a tip sensor beside bends or cables, along a reference.
+#[derive(Debug, Default)]
+pub(super) struct Silence {
+    measured_ns: u64,
+    /// Cycles since that measurement. They count if the sensor turns out to be silent.
+    pending: u64,
+    longest_ns: Option<u64>,
+}
+
+impl Silence {
+    /// Returns for how many cycles it is known by this record that tip and error are those of the model.
+    pub(super) fn take(&mut self, record: &Telemetry) -> u64 {
+        if self.measured_ns != record.tip_measured_ns {
+            self.measured_ns = record.tip_measured_ns;
+            self.pending = 0;
+        }
+        let silent_ns = silence_ns(record.release_ns, record.tip_measured_ns);
+        self.longest_ns = self.longest_ns.max(silent_ns);
+        if silent_ns.is_some() {
+            return 1 + core::mem::take(&mut self.pending);
+        }
+        let is_counted = is_by_model(record);
+        self.pending += u64::from(!is_counted);
+        u64::from(is_counted)
+    }
+
+    pub(super) fn text(&self) -> Option<String> {
+        let longest_s = seconds(self.longest_ns?);
+        Some(format!("the tip sensor was silent for up to {longest_s} s"))
+    }
+}
+
+/// Why tip and error of this record are those of the model. A measurement older than `fresh_ns` does not say
+/// where the tip is.
+pub(super) fn present_cause(record: &Telemetry, fresh_ns: u64) -> Option<String> {
+    let age_ns = record.release_ns.saturating_sub(record.tip_measured_ns);
+    if record.tip_measured_ns > 0 && age_ns >= fresh_ns {
+        return Some(format!("tip sensor silent for {} s", seconds(age_ns)));
+    }
+    let cause = TipCause::try_from(record.tip_cause).ok()?;
+    (cause != TipCause::None).then(|| format!("the measured tip is not in use because {cause}"))
+}
+
+fn seconds(ns: u64) -> String {
+    format!("{:.1}", ns as f64 * 1e-9)
+}
