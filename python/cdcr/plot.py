@@ -22,9 +22,10 @@ Source: TypeAlias = Simulation | Records | Mapping[str, Records] | Connection
 SHAPES = 4
 """So many shapes of the robot are drawn, from the first to the last."""
 
-OFFSET_M = 1e-4
 # A tip sensor that has measured nothing for this long is silent.
 SILENT_NS = 1_000_000_000
+
+OFFSET_M = 1e-4
 """A larger distance of the tip from the end of the shape is drawn."""
 
 
