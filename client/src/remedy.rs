@@ -7,7 +7,7 @@ const TIP_ELSEWHERE: &str = "The encoders or the tip sensor are wrong, and --acc
      straight and set the zero (docs/drivers.md, Zero). If the bends are right (cdcrctl status), end the tip sensor, or let the driver send no tips, for one second. \
      Then cdcrctl reset, with --accept-pose where cdcrctl status asks for it. Start the sensor again after it was corrected.";
 
-/// Remedy for a refused message or request: one sentence.
+/// Remedy for a refused message or request.
 pub fn remedy(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::Accepted => "Nothing to do.",

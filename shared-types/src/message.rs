@@ -58,7 +58,7 @@ pub struct Field {
     pub name: &'static str,
     /// Description from the doc comment.
     pub doc: &'static str,
-    /// Offset from the begin of the message \[bytes\].
+    /// Offset from the beginning of the message \[bytes\].
     pub offset: usize,
     /// Type of the field.
     pub kind: Kind,

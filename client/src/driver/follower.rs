@@ -391,8 +391,8 @@ impl CommandFollower {
     /// Stopped or Faulted then: the motors hold. For a driver that obeys
     /// [`Interface::Position`].
     ///
-    /// The position never overshoots the target and never exceeds the robot's largest rates, cable speeds and speed of the
-    /// section ends, so it may arrive later, after lost or late commands. It is constant from `valid_until_ns` on. Another daemon does not move
+    /// The position never overshoots the target and never exceeds the robot's largest rates and cable speeds, nor the largest speed
+    /// of the section ends where the commands do not, so it may arrive later, after lost or late commands. It is constant from `valid_until_ns` on. Another daemon does not move
     /// it by taking over ([`offset`](Self::offset)).
     ///
     /// If the next command comes after that time, because the driver hung or commands were lost, the position catches up

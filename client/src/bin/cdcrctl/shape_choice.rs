@@ -59,7 +59,9 @@ impl Guided {
         let followed = |from: &Configuration| followed(&robot, from, ends_m, &known);
         let present = followed(&here);
         let others: Vec<_> = starts(&robot, &here).iter().map(followed).collect();
-        let bent_rad = distance_rad(&here, &present.end).max(2.0 * UNCERTAIN_RAD);
+        // The starts lie this far apart, and a way keeps of it what does not move the tip.
+        let apart_rad = 2.0 * UNCERTAIN_RAD * (robot.section_count() as f64).sqrt();
+        let bent_rad = distance_rad(&here, &present.end).max(apart_rad);
         let is_open = others
             .iter()
             .any(|other| distance_rad(&present.end, &other.end) > bent_rad);

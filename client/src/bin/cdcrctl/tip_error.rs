@@ -199,7 +199,7 @@ impl TipError {
                 0 => SILENT_NS,
                 _ => self.measured.fresh_ns(),
             };
-            self.final_by_model = silence::present_cause(record, fresh_ns);
+            self.final_by_model = self.silence.present_cause(record, fresh_ns);
         }
     }
 

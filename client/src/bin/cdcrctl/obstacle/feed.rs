@@ -79,13 +79,13 @@ pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> 
     let mut feed = Feed::new(connection)?;
     let lines = read_lines();
     loop {
+        if interrupt.is_raised() {
+            return feed.end(Done::Interrupted);
+        }
         let first = match lines.recv_timeout(INTERRUPT_INTERVAL) {
             Ok(first) => first,
             Err(RecvTimeoutError::Disconnected) => return feed.end(Done::Good),
             Err(RecvTimeoutError::Timeout) => {
-                if interrupt.is_raised() {
-                    return feed.end(Done::Interrupted);
-                }
                 feed.check_daemon(connection)?;
                 continue;
             }

@@ -173,6 +173,24 @@ fn a_bent_robot_and_one_with_a_single_shape_stay_free() {
 }
 
 #[test]
+fn a_short_way_of_a_bent_robot_of_many_sections_is_free() {
+    for sections in 3..=6 {
+        let mut record = at_rest(&[], 2.0);
+        record.robot = robot(sections);
+        for j in 0..sections as usize {
+            record.bend_rad[2 * j] = 0.4;
+        }
+        let (model, here) = robot_and_pose(&record).unwrap();
+        let start_m = model.tip_position(&here);
+        for step_m in [0.001, 0.02] {
+            let goal_m = [start_m.x, start_m.y + step_m, start_m.z];
+            let guided = Guided::new(&record, way(&record, goal_m), ALLOWED_M).unwrap();
+            assert!(guided.axes.is_empty(), "{sections} sections, {step_m} m");
+        }
+    }
+}
+
+#[test]
 fn a_shape_that_would_meet_an_obstacle_is_not_chosen() {
     let mut record = at_rest(&[], 2.0);
     record.settings.safe_distance_m = 0.01;

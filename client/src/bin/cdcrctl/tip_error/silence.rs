@@ -8,6 +8,8 @@ use crate::unmeasured_tip::silence_ns;
 #[derive(Debug, Default)]
 pub(super) struct Silence {
     measured_ns: u64,
+    /// Release of the first record with that measurement; the measurement itself, where it was there before \[ns\].
+    since_ns: u64,
     /// Cycles since that measurement. They count if the sensor turns out to be silent.
     pending: u64,
     longest_ns: Option<u64>,
@@ -17,6 +19,10 @@ impl Silence {
     /// Returns for how many cycles it is known by this record that tip and error are those of the model.
     pub(super) fn take(&mut self, record: &Telemetry) -> u64 {
         if self.measured_ns != record.tip_measured_ns {
+            self.since_ns = match self.measured_ns {
+                0 => record.tip_measured_ns,
+                _ => record.release_ns,
+            };
             self.measured_ns = record.tip_measured_ns;
             self.pending = 0;
         }
@@ -30,21 +36,21 @@ impl Silence {
         u64::from(is_counted)
     }
 
+    /// Why tip and error of the record that was taken last are those of the model. A measurement that arrived `fresh_ns`
+    /// ago does not say where the tip is.
+    pub(super) fn present_cause(&self, record: &Telemetry, fresh_ns: u64) -> Option<String> {
+        let age_ns = record.release_ns.saturating_sub(self.since_ns);
+        if record.tip_measured_ns > 0 && age_ns >= fresh_ns {
+            return Some(format!("tip sensor silent for {} s", seconds(age_ns)));
+        }
+        let cause = TipCause::try_from(record.tip_cause).ok()?;
+        (cause != TipCause::None).then(|| format!("the measured tip is not in use because {cause}"))
+    }
+
     pub(super) fn text(&self) -> Option<String> {
         let longest_s = seconds(self.longest_ns?);
         Some(format!("the tip sensor was silent for up to {longest_s} s"))
     }
-}
-
-/// Why tip and error of this record are those of the model. A measurement older than `fresh_ns` does not say
-/// where the tip is.
-pub(super) fn present_cause(record: &Telemetry, fresh_ns: u64) -> Option<String> {
-    let age_ns = record.release_ns.saturating_sub(record.tip_measured_ns);
-    if record.tip_measured_ns > 0 && age_ns >= fresh_ns {
-        return Some(format!("tip sensor silent for {} s", seconds(age_ns)));
-    }
-    let cause = TipCause::try_from(record.tip_cause).ok()?;
-    (cause != TipCause::None).then(|| format!("the measured tip is not in use because {cause}"))
 }
 
 fn seconds(ns: u64) -> String {

@@ -54,7 +54,7 @@ impl Asker {
         kinds.push(kind);
         drop(kinds);
         let asker = self.clone();
-        thread::spawn(move || {
+        let answering = move || {
             let answer = request::ask(&asker.location, &asker.robot, kind);
             let words = answer.map(|response| wait::outcome_text(kind, &response));
             asker.asked.kinds().retain(|asked| *asked != kind);
@@ -62,7 +62,11 @@ impl Asker {
             let _ = asker
                 .sender
                 .send((kind, words.map_err(|error| format!("{error:#}"))));
-        });
+        };
+        if let Err(error) = thread::Builder::new().spawn(answering) {
+            self.asked.kinds().retain(|asked| *asked != kind);
+            let _ = self.sender.send((kind, Err(error.to_string())));
+        }
     }
 
     pub(super) fn asked(&self) -> Vec<RequestKind> {

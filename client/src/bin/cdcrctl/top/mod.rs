@@ -15,7 +15,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, ensure};
+use anyhow::{Context as _, bail, ensure};
 use cdcr_client::{Connection, LinkError, TelemetryStream};
 use cdcr_shared_types::codes::RequestKind;
 use ratatui::DefaultTerminal;
@@ -82,7 +82,7 @@ pub(crate) fn run(target: &Target, options: &TopOptions) -> anyhow::Result<Done>
     restored.map(|()| done)
 }
 
-/// Sends the request of each key, and passes its action to the screen, until a key quits or the terminal is
+/// Sends the request of each key, and passes its action to the screen, until the terminal is
 /// closed.
 fn read_keys(asker: &Asker, actions: &Sender<io::Result<Action>>) {
     let mut keys = Keys::default();
@@ -97,7 +97,8 @@ fn read_keys(asker: &Asker, actions: &Sender<io::Result<Action>>) {
         if let Ok(Action::Ask(kind)) = action {
             asker.ask(kind);
         }
-        let is_last = matches!(action, Ok(Action::Quit) | Err(_));
+        // After a key that quits, too, while the screen stands still.
+        let is_last = action.is_err();
         // The receiver may have been dropped.
         if actions.send(action).is_err() || is_last {
             return;
@@ -145,7 +146,8 @@ impl Top<'_> {
                         action => self.act(action),
                     },
                     Err(RecvTimeoutError::Timeout) if left > INTERRUPT_INTERVAL => continue,
-                    Err(_) => {}
+                    Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => bail!("the keys are no longer read"),
                 }
                 break;
             }
