@@ -250,7 +250,7 @@ class Outcome(Code):
     OTHER_DRIVER = 23
     """Another driver controls the robot."""
     WAITS = 24
-    """The robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale."""
+    """The robot waits: the inputs are stale, a source of obstacles is silent (obstacles.source_timeout_ms), or the commanded position moves to the robot after a reset."""
     TOO_FAR = 25
     """The reference is farther from the tip than motion.approach_distance_m."""
     CABLE_MEAN = 26
