@@ -28,7 +28,7 @@ struct Choice {
     hides_title: bool,
     #[serde(default)]
     rows: BTreeMap<String, Vec<String>>,
-    /// All if empty. The first of several columns with the same head.
+    /// All if empty. Of several columns with the same head the first, or the second as "head#2".
     #[serde(default)]
     columns: Vec<String>,
     /// Other heads of chosen columns.
@@ -46,8 +46,12 @@ impl Choice {
         let mut tables = tables.into_iter();
         let table = tables.find(|table| table.title.starts_with(&self.title));
         let mut table = table.unwrap_or_else(|| panic!("no table {:?}", self.title));
-        let place = |head: &String| {
-            let place = table.heads.iter().position(|other| other == head);
+        let place = |wanted: &String| {
+            let (head, number) = wanted.split_once('#').unwrap_or((wanted, "1"));
+            let number: usize = number.parse().expect("a number");
+            let heads = table.heads.iter().enumerate();
+            let mut places = heads.filter(|(_, other)| *other == head).map(|(at, _)| at);
+            let place = places.nth(number - 1);
             place.unwrap_or_else(|| panic!("no column {head:?} in {:?}", self.title))
         };
         let wanted = self.rows.iter().map(|(head, of)| (place(head), of));
