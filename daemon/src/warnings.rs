@@ -18,8 +18,6 @@ const CABLE_SPEED_SHARE_MIN: f64 = 0.02;
 const HOME_RAD_MAX: f64 = 0.1;
 /// Fastest tip while homing that is taken to be meant \[m/s\].
 const HOME_M_S_MAX: f64 = 1.0;
-/// Largest rate of home that is usual \[rad/s\], as declared with the key.
-const HOME_RATE_USUAL_MAX: f64 = 10.0;
 /// Smallest stroke that is taken to be meant, as a share of what full bends need.
 const STROKE_SHARE_MIN: f64 = 0.7;
 /// Longest validity of a command that is taken to be meant \[ms\].
@@ -343,11 +341,12 @@ fn home_speed(config: &Config) -> Option<String> {
     let sections = &config.robot.sections;
     let most_m_s = tip_speed_max_m_s(sections, |section| rate_rad_s.min(section.rate_max_rad_s));
     let is_limited = limit_m_s > 0.0 && limit_m_s <= HOME_M_S_MAX;
-    // A larger rate has a warning of its own.
-    let is_usual = rate_rad_s <= HOME_RATE_USUAL_MAX;
+    // An unusual rate has a warning of its own.
+    let key = "motion.home_rate_rad_s";
+    let is_usual = !unusual(config).iter().any(|text| text.starts_with(key));
     (most_m_s > HOME_M_S_MAX && is_usual && !is_limited).then(|| {
         format!(
-            "motion.home_rate_rad_s = {rate_rad_s}: home moves the tip of this robot at up to {most_m_s:.1} m/s; lower it, or set \
+            "{key} = {rate_rad_s}: home moves the tip of this robot at up to {most_m_s:.1} m/s; lower it, or set \
              robot.tip_speed_max_m_s"
         )
     })

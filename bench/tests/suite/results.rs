@@ -48,14 +48,12 @@ impl Choice {
         let mut table = table.unwrap_or_else(|| panic!("no table {:?}", self.title));
         let place = |wanted: &String| {
             let (head, number) = wanted.split_once('#').unwrap_or((wanted, "1"));
-            let number: usize = number.parse().expect("a number");
-            let heads = table.heads.iter().enumerate();
-            let mut places = heads.filter(|(_, other)| *other == head).map(|(at, _)| at);
-            let place = places.nth(number - 1);
-            place.unwrap_or_else(|| panic!("no column {head:?} in {:?}", self.title))
+            let mut places = (0..table.heads.len()).filter(|at| table.heads[*at] == head);
+            let place = places.nth(number.parse::<usize>().expect("a number") - 1);
+            place.unwrap_or_else(|| panic!("no column {wanted:?}"))
         };
-        let wanted = self.rows.iter().map(|(head, of)| (place(head), of));
-        let wanted: Vec<_> = wanted.collect();
+        let rows = self.rows.iter();
+        let wanted: Vec<_> = rows.map(|(head, of)| (place(head), of)).collect();
         let columns: Vec<usize> = match &self.columns[..] {
             [] => (0..table.heads.len()).collect(),
             heads => heads.iter().map(place).collect(),
