@@ -3,7 +3,8 @@
 # in each run, idle and beside a busy loop on every core. Needs root (to remove privileges step by step), python3 and
 # setpriv (util-linux).
 #
-# usage: packaging/measure-realtime.sh [SECONDS a run] [ROUNDS]
+# usage: packaging/measure-realtime.sh [SECONDS a run] [ROUNDS] [FILE]
+# FILE gets the tables as JSON, like docs/results/realtime.json.
 # PROFILE=debug uses the programs of `cargo build` to test the script; its numbers are meaningless.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -16,7 +17,8 @@ for program in "$cdcrd" "$cdcrctl"; do
   [ -x "$program" ] || { echo "$program is missing; build it first: cargo build --release" >&2; exit 1; }
 done
 [ "$(id -u)" = 0 ] || { echo "run it as root" >&2; exit 1; }
-folder=$(mktemp -d)
+# The daemon keeps its root folder in memory.
+folder=$(mktemp -d -p /dev/shm)
 export CDCR_ROOT=$folder/root CDCR_PREFIX=measure_$$_
 busy=()
 daemon=
@@ -78,18 +80,26 @@ for round in $(seq "$rounds"); do
 done
 
 names=$(printf '%s\n' "${steps[@]}" | cut -d'|' -f1)
-python3 - "$folder" "$rounds" "$names" <<'P'
+python3 - "$folder" "$rounds" "$names" "${3:-/dev/null}" <<'P'
 import json, statistics, sys
-folder, rounds, names = sys.argv[1], int(sys.argv[2]), sys.argv[3].splitlines()
-for load in ("idle", "busy"):
-    print(f"\n{load}: µs, medians of {rounds} runs; counts are sums\n")
-    print("| step | wake-up p50 | wake-up p99 | response p99 | response max | misses | skipped |")
-    print("|---|--:|--:|--:|--:|--:|--:|")
+folder, rounds, names, file = sys.argv[1], int(sys.argv[2]), sys.argv[3].splitlines(), sys.argv[4]
+heads = ["step", "wake-up p50", "wake-up p99", "response p99", "response max", "misses", "skipped"]
+tables = []
+for load, title in (("idle", "Idle"), ("busy", "Beside a busy loop on every core")):
+    lines = []
     for step, name in enumerate(names):
         runs = [json.load(open(f"{folder}/{load}.{step}.{r + 1}.json"))["since_reset"] for r in range(rounds)]
-        us = lambda key, q: statistics.median(run[key][q] for run in runs) / 1e3
-        total = lambda key: sum(run[key] for run in runs)
-        print(f"| {name} | {us('wake', 'p50_ns'):.1f} | {us('wake', 'p99_ns'):.1f} | {us('response', 'p99_ns'):.1f} "
-              f"| {max(run['response']['max_ns'] for run in runs) / 1e3:.0f} | {total('deadline_misses')} "
-              f"| {total('skipped_periods')} |")
+        us = lambda key, q: f"{statistics.median(run[key][q] for run in runs) / 1e3:.1f}"
+        total = lambda key: str(sum(run[key] for run in runs))
+        longest = f"{max(run['response']['max_ns'] for run in runs) / 1e3:.0f}"
+        times = [us("wake", "p50_ns"), us("wake", "p99_ns"), us("response", "p99_ns"), longest]
+        lines.append([name, *times, total("deadline_misses"), total("skipped_periods")])
+    title += f": µs, medians of {rounds} runs; counts are sums"
+    tables.append({"title": title, "heads": heads, "words": [True] + 6 * [False], "lines": lines})
+    print(f"\n{title}\n")
+    for line in [heads, ["---"] + 6 * ["--:"], *lines]:
+        print("|", " | ".join(line), "|")
+with open(file, "w") as output:
+    json.dump({"tables": tables}, output, ensure_ascii=False)
+    output.write("\n")
 P
