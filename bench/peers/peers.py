@@ -2,10 +2,10 @@
 
     cargo build --release -p cdcr-bench
     python3 -m venv peers && peers/bin/pip install -r bench/peers/requirements.txt
-    peers/bin/python bench/peers/peers.py target/release/cdcr-bench
+    peers/bin/python bench/peers/peers.py target/release/cdcr-bench docs/results/peers.json
 
-Needs a C compiler (the variable CC, or cc). Takes three minutes. Prints a table in Markdown. What is the same problem and
-what is not: docs/results.md.
+Needs a C compiler (the variable CC, or cc). Takes one to three minutes. Writes the table from which docs/results.md is generated;
+that page says what is the same problem and what is not.
 """
 
 import json
@@ -218,17 +218,26 @@ def one_round(program):
 
 
 def main():
-    if len(sys.argv) != 2:
+    if len(sys.argv) != 3:
         sys.exit(__doc__)
     rounds = []
     for number in range(ROUNDS):
         print(f"round {number + 1} of {ROUNDS}", file=sys.stderr)
         rounds.append(one_round(sys.argv[1]))
-    print("| sections | steps | speed | solver | p50 µs | p99 µs | mean error mm |\n|--:|--:|--:|---|--:|--:|--:|")
+    lines = []
     for key in sorted(rounds[0], key=lambda key: (key[1], key[0], key[2], key[3])):
         p50_us, p99_us, error_mm = (statistics.median(values) for values in zip(*(found[key] for found in rounds)))
         error = "-" if math.isnan(error_mm) else f"{error_mm:.1e}"
-        print("|", " | ".join(map(str, [*key, f"{p50_us:.1f}", f"{p99_us:.1f}", error])), "|")
+        times = [f"{time_us:.{0 if time_us >= 10 else 2}f}" for time_us in (p50_us, p99_us)]
+        lines.append([*map(str, key), *times, error])
+    heads = ["sections", "steps", "speed", "solver", "p50 µs", "p99 µs", "mean error mm"]
+    table = {
+        "title": f"The spiral by cdcr and by others: medians of {ROUNDS} rounds",
+        "heads": heads,
+        "words": [head == "solver" for head in heads],
+        "lines": lines,
+    }
+    pathlib.Path(sys.argv[2]).write_text(json.dumps({"tables": [table]}, ensure_ascii=False) + "\n")
 
 
 if __name__ == "__main__":
