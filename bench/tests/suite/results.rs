@@ -1,5 +1,5 @@
-//! The tables of `docs/results.md`, `docs/robustness.md` and `docs/tuning.md` and the plot of the rates match
-//! the committed results, which do not describe the machine. `CDCR_GENERATE=1` writes them.
+//! The tables of `docs/results.md` and of the pages beside it, and the plot of the rates, match the committed
+//! results, which do not describe the machine. `CDCR_GENERATE=1` writes them.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use cdcr_bench::rate;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::{list, number};
+use crate::list;
 
 /// Markers at the begin and the end of a table in the document.
 const BEGIN: &str = "<!-- generated from ";
@@ -75,7 +75,7 @@ impl Choice {
 }
 
 /// A committed result below `docs`. With `CDCR_GENERATE`, what no document needs is removed: the description of
-/// the machine, and of the report of `all` everything but its tables and the rows of the plot.
+/// the machine, and of the report of `all` everything but its tables.
 pub(crate) fn result(file: &str) -> Value {
     let file = docs().join(file);
     let json = std::fs::read_to_string(&file).expect("the result");
@@ -84,8 +84,7 @@ pub(crate) fn result(file: &str) -> Value {
         assert!(generates(), "{} describes a machine: {HOW}", file.display());
         if let Some(Value::Object(tables)) = document.get_mut("tables") {
             tables.remove("robustness");
-            let default = json!({ "default": document["rate"]["default"] });
-            document = json!({ "tables": document["tables"], "rate": default });
+            document = json!({ "tables": document["tables"] });
         }
         document.as_object_mut().unwrap().remove("environment");
         std::fs::write(&file, format!("{document}\n")).expect("written");
@@ -104,10 +103,11 @@ fn generates() -> bool {
 /// The files below `docs` that are generated from a committed result are up to date.
 #[test]
 fn documents_hold_what_is_made_from_the_json_beside_them() {
-    let report = result("results/report.json");
-    let picture = rate::picture(list(&report["rate"], "default")).expect("a picture");
+    let picture = rate::picture(list(&result("results/rate.json"), "default")).expect("a picture");
     for (name, contained) in [
         ("results.md", "<!-- generated from results/report.json"),
+        ("paper.md", "| kpso-refined |"),
+        ("realtime.md", "| + SCHED_FIFO |"),
         ("robustness.md", "| 30 µm of noise |"),
         ("tuning.md", "| smooth |"),
         ("images/results-rate.svg", "<svg"),
@@ -127,37 +127,19 @@ fn documents_hold_what_is_made_from_the_json_beside_them() {
     }
 }
 
-/// The table of rates is typed: it has columns that no committed row has. The others are those of the rows.
-#[test]
-fn the_typed_table_of_rates_has_the_numbers_of_its_picture() {
-    let report = result("results/report.json");
-    let text = std::fs::read_to_string(docs().join("results.md")).expect("the document");
-    for row in list(&report["rate"], "default") {
-        let hz = number(row, "rate_hz");
-        let rate = [format!("{hz} Hz"), format!("{} kHz", hz / 1e3)];
-        let begin = format!("| {} | ", rate[usize::from(hz >= 1e3)]);
-        let line = text.lines().find(|line| line.starts_with(&begin));
-        let cells: Vec<&str> = line.expect("a line").split(" | ").collect();
-        let digits = ["p50", "p99", "p999"].into_iter().zip([1, 1, 0]);
-        let times = digits.map(|(part, digits)| {
-            format!("{:.digits$}", number(row, &format!("response_us_{part}")))
-        });
-        let shares = ["core_share", "budget_hit_share"].map(|key| {
-            let percent = format!("{:.1}", 100.0 * number(row, key));
-            format!("{} %", percent.trim_end_matches(".0"))
-        });
-        let expected: Vec<String> = times.chain(shares).collect();
-        assert_eq!(cells[3..8], expected, "{begin}");
-    }
-}
-
-/// A document with regenerated tables.
+/// A document with regenerated tables. No other table has a column of numbers.
 fn with_tables(text: &str) -> String {
     let mut parts = text.split(BEGIN);
     let mut made = parts.next().unwrap_or_default().to_owned();
+    let is_typed = |text: &str| text.contains("--:|") || text.contains("--: |");
+    assert!(!is_typed(&made), "numbers are typed in a table: {HOW}");
     for part in parts {
         let (begin, rest) = part.split_once(" -->\n").expect("a file and its table");
         let (_, rest) = rest.split_once(END).expect("an end of the table");
+        assert!(
+            !is_typed(rest),
+            "numbers are typed in a table after {begin}"
+        );
         let (file, choice) = begin.split_once(' ').expect("a file and a choice");
         let choice: Choice = serde_json::from_str(choice).expect("a choice");
         let table = choice.select(&result(file)).markdown();
