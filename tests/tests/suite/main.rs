@@ -10,6 +10,7 @@ mod chaos;
 mod faults;
 mod fuzz;
 mod own_mounts;
+mod paragraphs;
 mod rest;
 mod soak;
 mod stop;
