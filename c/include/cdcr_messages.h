@@ -661,7 +661,7 @@ typedef struct CdcrStatistics {
     /* 104: Records, with their part of the statistics, and events that were lost inside the daemon because a queue
      * was full. */
     uint64_t dropped_records;
-    /* 112: Longest time between two looks at the clock in a cycle [ns], from its start to the end of the solve, work
+    /* 112: Longest time between two clock reads in a cycle [ns], from its start to the end of the solve, work
      * included. Far longer than a quantum of work: the processor stood still, though no deadline was missed. */
     uint64_t longest_gap_ns;
     /* 120: one for each CdcrLateCause from 1 on. Cycles that started late, missed their deadline or skipped periods,
@@ -904,8 +904,8 @@ typedef struct CdcrSchedulingReport {
     uint64_t run_delay_ns;
     /* 8: Time that it ran [ns]. */
     uint64_t on_core_ns;
-    /* 16: Longest time between two looks at the clock [ns], from the start of the cycle to the end of the solve,
-     * work included. Far longer than a quantum of work (a few µs): the processor stood still. */
+    /* 16: Longest time between two clock reads [ns], from the start of the cycle to the end of the solve, work
+     * included. Far longer than a quantum of work (a few µs): the processor stood still. */
     uint64_t longest_gap_ns;
     /* 24: Page faults, minor and major, since they were last read: in each late cycle, while there are some, and in
      * one of 16 others. */

@@ -13,8 +13,8 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::Accepted => "Nothing to do.",
         Outcome::NotFinite => "Remove NaN and infinite numbers from the message.",
         Outcome::InThePast => {
-            "The sender was late, or it or the daemon stood still: send again with the present time; start the reference later (--lead) or send it further ahead; send a measurement \
-             within link.measurement_timeout_ms of its time stamp (CLOCK_MONOTONIC, in ns), or raise that key above the delay of a slow sensor, such as a camera."
+            "The message came too late, or sender or daemon stalled. Send it again with the present time. Reference: start later (--lead) or send further ahead. Measurement: send it \
+             within link.measurement_timeout_ms of its time stamp (CLOCK_MONOTONIC, ns), or raise that key above the delay of a slow sensor, such as a camera."
         }
         Outcome::InTheFuture => {
             "Stamp messages with CLOCK_MONOTONIC of the daemon's host, in ns, not ahead of now. The wall clock (Python: time.time_ns) is years ahead of it."
@@ -40,7 +40,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
             "Send less far ahead, or wait until points have been played; or remove obstacles."
         }
         Outcome::CountOutOfRange | Outcome::OutOfRange => {
-            "See the ranges in the documentation of the message. The begin of a span of time must not be after its end, as that of a rest (rested_from_ns, rested_until_ns)."
+            "See the ranges in the documentation of the message. A time span must not end before it begins (rested_from_ns, rested_until_ns)."
         }
         Outcome::UnknownCode => "Use client and daemon of one version.",
         Outcome::NotUnit => "Normalise the axis or quaternion.",
@@ -143,7 +143,7 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
             "Check that the driver still reads the sensors and the robot can move, then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::FollowingError => {
-            "Motors of positions push on: switch off their torque before you touch the robot. Check that the motors run and nothing holds the robot; with a new driver also the sign, order and unit of its cables, and that \
+            "Motors that follow positions keep pushing: switch off their torque before you touch the robot. Check that the motors run and nothing holds the robot; with a new driver also the sign, order and unit of its cables, and that \
              it obeys its commands (cdcrctl status shows the following error). Then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::InputsStale => {
@@ -167,7 +167,7 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
              sensor first; where the robot rests clear of the obstacle, its motors lag more than [actuator] states, or its driver stalls."
         }
         Reason::StoppedBefore => {
-            "Check the robot, and the zero of encoders that were started again, too (docs/drivers.md, Zero), then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
+            "Check the robot and, if its encoders were restarted, their zero (docs/drivers.md, Zero), then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::PoseDiffers => ACCEPT_POSE,
         Reason::TipElsewhere => TIP_ELSEWHERE,

@@ -141,7 +141,7 @@ fn of_units(config: &Config) -> Vec<String> {
         (
             actuator.play_m > PLAY_SHARE_MAX * bend_m,
             format!(
-                "actuator.play_m = {}: the cables of a section move by {bend_m:.4} m at its full bend: in another unit? A robot swings where this \
+                "actuator.play_m = {}: the cables of a section move by {bend_m:.4} m at its full bend; check the unit (m). A robot swings where this \
                  is more than its play (docs/robustness.md)",
                 actuator.play_m
             ),
@@ -149,22 +149,22 @@ fn of_units(config: &Config) -> Vec<String> {
         (
             cable_m_s < CABLE_SPEED_SHARE_MIN * fastest_m_s,
             format!(
-                "robot.cable_speed_max_m_s = {cable_m_s}: the rates of this robot need up to {fastest_m_s:.3} m/s, and all are scaled down to it: in \
-                 another unit?"
+                "robot.cable_speed_max_m_s = {cable_m_s}: the rates of this robot need up to {fastest_m_s:.3} m/s, and all are scaled down to it; check \
+                 the unit (m/s)"
             ),
         ),
         (
             is_short(actuator.delay_ms),
-            format!("actuator.delay_ms = {}: in seconds?", actuator.delay_ms),
+            format!("actuator.delay_ms = {}: check the unit (ms)", actuator.delay_ms),
         ),
         (
             is_short(actuator.time_constant_ms),
-            format!("actuator.time_constant_ms = {}: in seconds?", actuator.time_constant_ms),
+            format!("actuator.time_constant_ms = {}: check the unit (ms)", actuator.time_constant_ms),
         ),
         (
             stroke_m > STROKE_M_MAX.max(full_m),
             format!(
-                "robot.cable_stroke_max_m = {stroke_m}: in millimetres? At full bend no cable moves by more than {full_m:.3} m"
+                "robot.cable_stroke_max_m = {stroke_m}: at full bend no cable moves by more than {full_m:.3} m; check the unit (m)"
             ),
         ),
     ]
@@ -195,27 +195,27 @@ fn of_reach(config: &Config) -> Vec<String> {
         (
             motion.home_tolerance_rad > HOME_RAD_MAX,
             format!(
-                "motion.home_tolerance_rad = {}: a robot that is bent by up to that counts as straight, and home does not move it; in degrees?",
+                "motion.home_tolerance_rad = {}: a robot that is bent by up to that counts as straight, and home does not move it; check the unit (rad)",
                 motion.home_tolerance_rad
             ),
         ),
         (
             motion.acceleration_rad_s2 > 0.0 && grows_s > REST_MAX_S,
             format!(
-                "motion.acceleration_rad_s2 = {}: a rate takes {grows_s:.0} s to grow to its limit, so that the robot hardly moves; in another unit?",
+                "motion.acceleration_rad_s2 = {}: a rate takes {grows_s:.0} s to grow to its limit, so that the robot hardly moves; check the unit (rad/s²)",
                 motion.acceleration_rad_s2
             ),
         ),
         (
             stroke_m < STROKE_SHARE_MIN * full_m,
             format!(
-                "robot.cable_stroke_max_m = {stroke_m}: at full bend of all sections to one side a cable moves by {full_m:.3} m, so that the strokes \
-                 keep the robot from most of its reach; in another unit?"
+                "robot.cable_stroke_max_m = {stroke_m}: at full bend of all sections to one side a cable moves by {full_m:.3} m, so the strokes \
+                 keep the robot from most of its reach; check the unit (m)"
             ),
         ),
     ]
     .into_iter()
-    .filter_map(|(is_doubtful, text)| is_doubtful.then_some(text))
+    .filter_map(|(is_unintended, text)| is_unintended.then_some(text))
     .collect()
 }
 
@@ -242,7 +242,7 @@ fn of_checks(config: &Config) -> Vec<String> {
     let of_bends = beyond.map(|(key, value)| {
         format!(
             "safety.{key} = {value} is more than a section of this robot can change its bend ({most_rad} rad): the check of bends \
-             does not act; in degrees?"
+             does not act; check the unit (rad)"
         )
     });
     let others = [
@@ -267,12 +267,12 @@ fn of_checks(config: &Config) -> Vec<String> {
             )
         }),
         (safety.cable_common_m == 0.0).then(|| {
-            "safety.cable_common_m = 0: where cable lengths are measured, a broken or slack cable is no fault".to_owned()
+            "safety.cable_common_m = 0: where cable lengths are measured, a broken or slack cable is not detected".to_owned()
         }),
         (safety.cable_common_m > bend_m).then(|| {
             format!(
-                "safety.cable_common_m = {}: a cable of a section moves by {bend_m:.4} m at its full bend, so that a broken or slack cable \
-                 is no fault where cable lengths are measured; in another unit?",
+                "safety.cable_common_m = {}: a cable of a section moves by {bend_m:.4} m at its full bend, so where cable lengths are measured, a broken or \
+                 slack cable is not detected; check the unit (m)",
                 safety.cable_common_m
             )
         }),
@@ -303,12 +303,12 @@ fn of_section(j: usize, section: &SectionParameters) -> Vec<String> {
                  body that the clearance guard protects{}",
                 section.body_radius_m,
                 section.cable_radius_m,
-                if is_other { "; is one of them in another unit?" } else { "" }
+                if is_other { "; check the unit of both (m)" } else { "" }
             )
         }),
         (section.cable_radius_m < 0.2 * section.body_radius_m).then(|| {
             format!(
-                "robot.sections[{j}].cable_radius_m = {} is far inside the body of {} m: in another unit? A wrong \
+                "robot.sections[{j}].cable_radius_m = {} is far inside the body of {} m; check the unit (m). A wrong \
                  radius bends the robot by a wrong factor",
                 section.cable_radius_m, section.body_radius_m
             )
@@ -368,13 +368,13 @@ fn tip_speed(config: &Config) -> [Option<String>; 3] {
     [
         (limit_m_s > most_m_s).then(|| {
             format!(
-                "{key} = {limit_m_s} has no effect: the largest rates move the tip at {most_m_s:.2} m/s at most; in another unit?"
+                "{key} = {limit_m_s} has no effect: the largest rates move the tip at {most_m_s:.2} m/s at most; check the unit (m/s)"
             )
         }),
         (limit_m_s < 0.1 * homing_m_s).then(|| {
             format!(
                 "{key} = {limit_m_s}: the last section alone moves the tip at {homing_m_s:.3} m/s at motion.home_rate_rad_s = \
-                 {}, so that homing takes more than ten times as long; in another unit?",
+                 {}, so that homing takes more than ten times as long; check the unit (m/s)",
                 motion.home_rate_rad_s
             )
         }),

@@ -83,7 +83,7 @@ macro_rules! messages {
 messages! {
     /// A time since 1970.
     "builtin_interfaces/msg/Time" Time { sec: i32, nanosec: u32, }
-    /// A duration.
+    /// Difference of two times.
     "builtin_interfaces/msg/Duration" Duration { sec: i32, nanosec: u32, }
     /// Time and frame.
     "std_msgs/msg/Header" Header { stamp: Time, frame_id: String, }

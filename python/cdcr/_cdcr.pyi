@@ -343,7 +343,7 @@ class Nmpc:
 @final
 class Obstacle:
     """
-    What the body must stay clear of: a ball, or a capsule (all points within a radius of a segment), in the base frame.
+    What the body must stay clear of: a sphere, or a capsule (all points within a radius of a segment), in the base frame.
     """
     def __reduce__(self, /) -> tuple[Any, ...]:
         """
@@ -353,7 +353,7 @@ class Obstacle:
     @property
     def axis_m(self, /) -> Doubles:
         """
-        Ends of the axis [m], (2, 3), base frame; of a ball both are its centre.
+        Ends of the axis [m], (2, 3), base frame; of a sphere both are its centre.
         """
     @staticmethod
     def capsule(start_m: ArrayLike, end_m: ArrayLike, radius_m: float, velocity_m_s: ArrayLike | None = None) -> Obstacle:
@@ -375,7 +375,7 @@ class Obstacle:
     @staticmethod
     def sphere(centre_m: ArrayLike, radius_m: float, velocity_m_s: ArrayLike | None = None) -> Obstacle:
         """
-        A ball.
+        All points within a radius of a centre.
 
         centre_m: (3,) [m], base frame. radius_m: 0 to 1e6 m. velocity_m_s: (3,) [m/s], constant.
         Raises ArgumentError for numbers outside their ranges.

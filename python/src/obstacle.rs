@@ -7,7 +7,7 @@ use crate::arrays::{ArrayLike, Doubles, triple};
 use crate::errors::Failure;
 use crate::numbers::{SECONDS, within};
 
-/// What the body must stay clear of: a ball, or a capsule (all points within a radius of a segment), in the base frame.
+/// What the body must stay clear of: a sphere, or a capsule (all points within a radius of a segment), in the base frame.
 #[pyclass(frozen, module = "cdcr", from_py_object)]
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Obstacle {
@@ -16,7 +16,7 @@ pub(crate) struct Obstacle {
 
 #[pymethods]
 impl Obstacle {
-    /// A ball.
+    /// All points within a radius of a centre.
     ///
     /// centre_m: (3,) [m], base frame. radius_m: 0 to 1e6 m. velocity_m_s: (3,) [m/s], constant.
     /// Raises ArgumentError for numbers outside their ranges.
@@ -56,7 +56,7 @@ impl Obstacle {
         self.inner.radius_m()
     }
 
-    /// Ends of the axis [m], (2, 3), base frame; of a ball both are its centre.
+    /// Ends of the axis [m], (2, 3), base frame; of a sphere both are its centre.
     #[getter]
     fn axis_m(&self) -> Doubles {
         let [start_m, end_m] = self.axis();

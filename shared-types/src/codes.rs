@@ -130,7 +130,7 @@ wire_enum! {
 wire_enum! {
     /// Shape of an obstacle.
     ObstacleShape {
-        /// A ball.
+        /// All points within a radius of a centre.
         Sphere = 0: "sphere",
         /// All points within a radius of a line segment.
         Capsule = 1: "capsule",

@@ -86,7 +86,7 @@ message! {
         tips_not_used: u64 [sum "measured tips not used"],
         /// Records, with their part of the statistics, and events that were lost inside the daemon because a queue was full.
         dropped_records: u64 [sum "dropped records"],
-        /// Longest time between two looks at the clock in a cycle \[ns\], from its start to the end of the solve, work included. Far longer than
+        /// Longest time between two clock reads in a cycle \[ns\], from its start to the end of the solve, work included. Far longer than
         /// a quantum of work: the processor stood still, though no deadline was missed.
         longest_gap_ns: u64 [max "longest gap"],
         /// Cycles that started late, missed their deadline or skipped periods, by their [`LateCause`]; index = code,

@@ -104,7 +104,7 @@ message! {
         run_delay_ns: u64,
         /// Time that it ran \[ns\].
         on_core_ns: u64,
-        /// Longest time between two looks at the clock \[ns\], from the start of the cycle to the end of the solve, work included. Far
+        /// Longest time between two clock reads \[ns\], from the start of the cycle to the end of the solve, work included. Far
         /// longer than a quantum of work (a few µs): the processor stood still.
         longest_gap_ns: u64,
         /// Page faults, minor and major, since they were last read: in each late cycle, while there

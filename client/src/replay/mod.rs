@@ -59,7 +59,7 @@ pub enum Outcome {
 /// A recomputed cycle.
 #[derive(Debug)]
 pub struct ReplayedCycle {
-    /// Its record.
+    /// The cycle as it was recorded.
     pub record: Box<Telemetry>,
     /// Result of the cycle.
     pub outcome: Outcome,

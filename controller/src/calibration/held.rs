@@ -13,7 +13,7 @@ const COMPONENT_SHARE: f64 = 0.3;
 pub struct Held {
     /// The parameter that keeps its configured value.
     pub parameter: Parameter,
-    /// Its reason.
+    /// Why the data do not determine it.
     pub why: HeldReason,
 }
 

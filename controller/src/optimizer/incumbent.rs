@@ -113,7 +113,7 @@ impl Incumbent {
         self.evaluations += evaluations as u32;
     }
 
-    /// The solution.
+    /// Unknowns of the best candidate so far.
     pub(crate) fn z(&self) -> &[f64] {
         &self.z
     }

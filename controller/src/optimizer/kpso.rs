@@ -101,7 +101,7 @@ impl Kpso {
 #[derive(Debug)]
 pub(crate) struct SwarmTask<'a, C> {
     pub(crate) cost: &'a C,
-    /// The box.
+    /// Bounds of the unknowns.
     pub(crate) bounds: &'a Bounds,
     /// Settings of the swarm.
     pub(crate) settings: KpsoSettings,

@@ -19,7 +19,7 @@ pub const OBSTACLE_RADIUS_M: RangeInclusive<f64> = 0.0..=1e6;
 /// Axis of an obstacle in the base frame of the robot. The obstacle is every point within its radius of the axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Shape {
-    /// A ball.
+    /// All points within a radius of a centre.
     Sphere {
         /// Centre (m), each component in [`OBSTACLE_COMPONENT`].
         centre_m: Vector3<f64>,

@@ -79,7 +79,7 @@ pub enum Mode {
     Starting,
     /// At rest, or on the ramp to it; after a reset, a commanded position first moves to the robot.
     Holding {
-        /// Why.
+        /// Why the robot rests.
         reason: Reason,
     },
     /// Following the reference.
@@ -91,12 +91,12 @@ pub enum Mode {
     Homing,
     /// Latched at rest.
     Stopped {
-        /// Why.
+        /// Why it was stopped.
         reason: Reason,
     },
     /// Latched at rest by a fault.
     Faulted {
-        /// The cause.
+        /// Why it is faulted.
         reason: Reason,
     },
 }

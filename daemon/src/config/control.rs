@@ -72,7 +72,7 @@ table! {
         /// stopped: the daemon logs a warning and continues.
         miss_limit: u32 = 0, in 0.0..=1e6, usual 0.0..=1000.0;
         /// Watchdog: the process ends when the cycle or exchange thread makes no progress for this time, the reporter
-        /// for 5 times or the status desk for 20 times this time; {range}, and at least 10 periods. The robot then holds when its last command expires (link.command_valid_ms).
+        /// for 5 times or the status thread for 20 times this time; {range}, and at least 10 periods. The robot then holds when its last command expires (link.command_valid_ms).
         watchdog_ms: f64 = 1000.0, in 50.0..=60_000.0, "at least ten times cycle.period_ms";
     }
 }

@@ -17,7 +17,7 @@ const RECORDS: usize = 96;
 const REPORTS: usize = 128;
 /// Summaries between reporter and supervisor: 5 s at 5 ms.
 const SUMMARIES: usize = 1024;
-/// Incidents between reporter and supervisor, and between supervisor and status desk.
+/// Incidents between reporter and supervisor, and between supervisor and status thread.
 const INCIDENTS: usize = 16;
 
 #[derive(Debug)]

@@ -8,7 +8,7 @@
 //!  reload ── ChangedSettings (of a reloaded configuration: ring) ──► exchange
 //!  supervisor ◄── Summary (all: ring, drops counted) ──── reporter
 //!  supervisor ◄── Incident (bad cycles in full: ring, drops counted) ── reporter
-//!  status desk ◄── Status (newest only: triple buffer), Incident (ring) ── supervisor
+//!  status thread ◄── Status (newest only: triple buffer), Incident (ring) ── supervisor
 //! ```
 //!
 //! Invariant: this module is below the threads and knows nothing of their use of the data.

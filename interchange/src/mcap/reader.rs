@@ -74,7 +74,7 @@ pub enum Item<'a> {
 pub struct Message<'a> {
     /// Number of the channel in this file.
     pub channel_id: u16,
-    /// The channel.
+    /// Declaration of this channel.
     pub channel: &'a Channel,
     /// Sequence number in the channel.
     pub sequence: u32,

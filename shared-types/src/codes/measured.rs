@@ -42,7 +42,7 @@ wire_enum! {
         Jumps = 3: "it moved faster than the robot can",
         /// It is used again after a stop and reset, or from a sensor that is started again.
         Jumped = 4: "it moved faster than the robot can many times in a row",
-        /// The same.
+        /// It is used again after a stop and reset, or from a sensor that is started again.
         Frozen = 5: "it had the same bits while the robot moved",
     }
 }

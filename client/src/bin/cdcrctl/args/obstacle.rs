@@ -51,8 +51,8 @@ pub(crate) enum ObstacleAction {
     File(ObstacleFile),
     /// Read obstacles from the standard input, one JSON object per line, and send each at once
     ///
-    /// Each line is as in a file. `measured_ns` is the time of the measurement in ns of `CLOCK_MONOTONIC` (`time.monotonic_ns()` in Python),
-    /// by default the arrival of the line; one that moves is refused when it is older than a second. `time_s` is ignored. Lines that wait
+    /// Each line is as in a file. `measured_ns` is the time of the measurement in ns of `CLOCK_MONOTONIC` (`time.monotonic_ns()` in Python;
+    /// default: arrival of the line). An update of a moving obstacle is refused if it is older than 1 s. `time_s` is ignored. Lines that wait
     /// while the daemon decides are sent together, up to 64 obstacles in one update, which it takes or refuses as a whole. An invalid or
     /// refused line ends the command with an error; obstacles sent before it stay.
     #[command(after_help = "Example:\n  camera.py | cdcrctl obstacle stdin\n  \

@@ -73,9 +73,10 @@ pub(crate) struct FeedArguments {
     #[arg(long, value_parser = value::interpolation(), default_value = Interpolation::Cubic.text())]
     pub(crate) interpolation: Interpolation,
     /// Largest allowed tip error, such as 2mm or 0.002m, after the tip has arrived: estimated and, with a tip sensor, measured with its
-    /// noise. With this option, the command also fails if nothing was tracked. Default: 20 mm at the end and 50 mm (estimated) on the way;
-    /// the second is not checked while an obstacle is beside the body, and then until the tip has arrived again. Nothing moves if the
-    /// robot cannot reach a point within this error (default for this check: 1 mm), or if with --track the reference is too fast for it
+    /// noise. Default: 20 mm at the end and 50 mm (estimated) on the way. The limit on the way is not checked while an obstacle is near the
+    /// body, until the tip has returned to the reference. With this option, the command also fails if nothing was tracked. It fails before
+    /// the motion if the robot cannot reach a point within this error (default for this check: 1 mm), or if with --track the reference is
+    /// too fast for the robot
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
     pub(crate) max_error: Option<f64>,
     /// Delay from this command to the first point

@@ -22,7 +22,7 @@ pub(super) fn needs_motion(held: &Held) -> bool {
 /// The bends of the recording, and what to do.
 pub(super) fn text(robot: &RobotParameters, recording: &Recording, correlation: f64) -> String {
     let mut out = String::from(
-        "What determines them is a recording in which every section bends far in every direction.",
+        "To determine them, record a motion in which every section bends far in every direction.",
     );
     if let Ok(robot) = Robot::new(robot) {
         let mut most_rad = vec![0.0_f64; robot.section_count()];

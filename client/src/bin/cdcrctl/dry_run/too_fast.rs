@@ -18,7 +18,7 @@ pub(crate) fn check_speed(
 ) -> anyhow::Result<()> {
     if trajectory.duration_s() > longest_s(record) {
         tell!(
-            "note: the reference is too long to be simulated, so that it is not checked before whether it is too fast"
+            "note: the reference is too long to simulate: whether it is too fast for the robot is not checked"
         );
         return Ok(());
     }
