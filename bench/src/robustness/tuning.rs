@@ -140,7 +140,7 @@ mod tests {
         let mut command = Launch::default().command("config").unwrap();
         command.args(["explain", key, "--set", "link.simulated=laboratory"]);
         if preset != "none" {
-            command.args(["--preset", preset]);
+            command.args(["--tuning", preset]);
         }
         let output = command.output().unwrap();
         let text = String::from_utf8(output.stdout).unwrap();

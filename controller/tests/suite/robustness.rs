@@ -398,10 +398,10 @@ fn a_robot_with_play_stays_where_it_is_sent() {
     }
 }
 
-/// The statement in docs/tuning.md about the preset `smooth`: a plan that may not reverse quickly stays
+/// The statement in docs/tuning.md about `--tuning smooth`: a plan that may not reverse quickly stays
 /// within the play.
 #[test]
-fn the_weights_of_the_preset_smooth_make_a_robot_with_play_swing() {
+fn the_weights_of_the_tuning_smooth_make_a_robot_with_play_swing() {
     let settings = NmpcSettings {
         rate_weight: RateWeight::MEASURED,
         rate_change_weight: 1e-5,

@@ -10,7 +10,7 @@ use cdcr_shared_types::Location;
 use clap::{Args, Subcommand, ValueHint};
 use serde::Serialize;
 
-use super::preset::Preset;
+use super::tuning::TuningPreset;
 use crate::config::{
     ConfigDraft, ConfigError, DEFAULT_TEXT, Layers, Origin, RealtimeConfig, RealtimeMode,
     SCHEMA_TEXT, Validated, explain,
@@ -58,8 +58,8 @@ pub(super) struct Source {
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Set the keys that trade precision against smoothness and speed, as measured on a well-built robot
-    #[arg(long, value_enum, value_name = "NAME")]
-    preset: Option<Preset>,
+    #[arg(long, alias = "preset", value_enum, value_name = "NAME")]
+    tuning: Option<TuningPreset>,
     /// Set one key, as TOML; repeatable [env: as CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms]
     #[arg(long, value_name = "KEY=VALUE", value_parser = assignment)]
     set: Vec<(String, String)>,
@@ -113,8 +113,8 @@ impl Source {
             let origin = Origin::Variable(name.to_owned());
             layers = with(layers, key, variable(name), &origin)?;
         }
-        for (key, value) in self.preset.into_iter().flat_map(Preset::keys) {
-            layers = layers.key(key, value, &Origin::Option("--preset"))?;
+        for (key, value) in self.tuning.into_iter().flat_map(TuningPreset::keys) {
+            layers = layers.key(key, value, &Origin::Option("--tuning"))?;
         }
         for (key, value) in &self.set {
             layers = layers.key(key, value, &Origin::Option("--set"))?;

@@ -3,7 +3,7 @@
 mod bare;
 mod config;
 mod doctor;
-mod preset;
+mod tuning;
 
 use std::process::ExitCode;
 

@@ -2,7 +2,7 @@ use clap::ValueEnum;
 
 /// Values of a few keys that belong together, chosen by measurement: docs/tuning.md.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum Preset {
+pub(super) enum TuningPreset {
     /// Smallest tip error that the sensors allow.
     Precise,
     /// Rate changes reduced to a fifth.
@@ -11,7 +11,7 @@ pub(super) enum Preset {
     Fast,
 }
 
-impl Preset {
+impl TuningPreset {
     /// Keys and values, as TOML.
     pub(super) fn keys(self) -> [(&'static str, &'static str); 3] {
         let (rate_change_weight, time_constant_ms) = match self {
@@ -52,8 +52,8 @@ mod tests {
     }
 
     #[test]
-    fn a_preset_is_shown_as_the_documents_write_it() {
-        let shown = settings(&["--preset", "smooth"]).changed();
+    fn a_tuning_is_shown_as_the_documents_write_it() {
+        let shown = settings(&["--tuning", "smooth"]).changed();
         let of = |key| &shown.iter().find(|(name, ..)| *name == key).unwrap().1;
         assert_eq!(of("controller.rate_weight"), "1e-10");
         assert_eq!(of("controller.rate_change_weight"), "1e-5");
@@ -61,18 +61,18 @@ mod tests {
     }
 
     #[test]
-    fn a_preset_sets_its_keys_and_an_option_wins_over_it() {
+    fn a_tuning_sets_its_keys_and_an_option_wins_over_it() {
         let default = config(&[]);
         assert!(f64::from(default.controller.rate_weight) == 0.0);
-        for preset in Preset::value_variants() {
-            let name = preset.to_possible_value().unwrap().get_name().to_owned();
-            let set = config(&["--preset", &name]);
+        for tuning in TuningPreset::value_variants() {
+            let name = tuning.to_possible_value().unwrap().get_name().to_owned();
+            let set = config(&["--tuning", &name]);
             let values = [
                 set.controller.rate_weight.into(),
                 set.controller.rate_change_weight,
                 set.estimator.time_constant_ms,
             ];
-            let expected = preset
+            let expected = tuning
                 .keys()
                 .map(|(_, value)| value.parse::<f64>().unwrap());
             assert!(values == expected, "{name}: {values:?}");
@@ -82,8 +82,10 @@ mod tests {
             others.estimator.time_constant_ms = default.estimator.time_constant_ms;
             assert!(others == default, "{name} sets nothing else");
             let key = "estimator.time_constant_ms=70";
-            let over = config(&["--set", key, "--preset", &name]);
+            let over = config(&["--set", key, "--tuning", &name]);
             assert!(over.estimator.time_constant_ms == 70.0, "{name}");
+            // The former name of the option.
+            assert!(config(&["--preset", &name]) == set, "{name}");
         }
     }
 }

@@ -61,7 +61,7 @@ _cdcrd() {
             return 0
             ;;
         cdcrd__subcmd__bare)
-            opts="-h --config --preset --set --robot --prefix --root --duration --format --end-with-parent --help"
+            opts="-h --config --tuning --set --robot --prefix --root --duration --format --end-with-parent --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -71,7 +71,7 @@ _cdcrd() {
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
-                --preset)
+                --tuning)
                     COMPREPLY=($(compgen -W "precise smooth fast" -- "${cur}"))
                     return 0
                     ;;
@@ -111,7 +111,7 @@ _cdcrd() {
             return 0
             ;;
         cdcrd__subcmd__check)
-            opts="-h --config --preset --set --robot --prefix --root --help"
+            opts="-h --config --tuning --set --robot --prefix --root --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -121,7 +121,7 @@ _cdcrd() {
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
-                --preset)
+                --tuning)
                     COMPREPLY=($(compgen -W "precise smooth fast" -- "${cur}"))
                     return 0
                     ;;
@@ -177,7 +177,7 @@ _cdcrd() {
             return 0
             ;;
         cdcrd__subcmd__config__subcmd__explain)
-            opts="-h --config --preset --set --robot --prefix --root --help"
+            opts="-h --config --tuning --set --robot --prefix --root --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -187,7 +187,7 @@ _cdcrd() {
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
-                --preset)
+                --tuning)
                     COMPREPLY=($(compgen -W "precise smooth fast" -- "${cur}"))
                     return 0
                     ;;
@@ -229,7 +229,7 @@ _cdcrd() {
             return 0
             ;;
         cdcrd__subcmd__doctor)
-            opts="-h --config --preset --set --robot --prefix --root --format --help"
+            opts="-h --config --tuning --set --robot --prefix --root --format --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -239,7 +239,7 @@ _cdcrd() {
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
-                --preset)
+                --tuning)
                     COMPREPLY=($(compgen -W "precise smooth fast" -- "${cur}"))
                     return 0
                     ;;
@@ -271,7 +271,7 @@ _cdcrd() {
             return 0
             ;;
         cdcrd__subcmd__run)
-            opts="-h --config --preset --set --robot --prefix --root --end-with-parent --help"
+            opts="-h --config --tuning --set --robot --prefix --root --end-with-parent --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -281,7 +281,7 @@ _cdcrd() {
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
-                --preset)
+                --tuning)
                     COMPREPLY=($(compgen -W "precise smooth fast" -- "${cur}"))
                     return 0
                     ;;

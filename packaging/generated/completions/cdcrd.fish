@@ -32,7 +32,7 @@ complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "check" -d 'Check a conf
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "doctor" -d 'Check this machine for causes of delay in a real-time loop, and print remedies'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "config" -d 'Print or explain the configuration'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
-complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l preset -d 'Set the keys that trade precision against smoothness and speed, as measured on a well-built robot' -r -f -a "precise\t'Smallest tip error that the sensors allow'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l tuning -d 'Set the keys that trade precision against smoothness and speed, as measured on a well-built robot' -r -f -a "precise\t'Smallest tip error that the sensors allow'
 smooth\t'Rate changes reduced to a fifth'
 fast\t'Deviations from the commands corrected five times as fast'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l set -d 'Set one key, as TOML; repeatable [env: as CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms]' -r
@@ -42,7 +42,7 @@ complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l root -d 'Root folder
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l end-with-parent -d 'End when the parent process, which has this id, ends, however it ends' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
-complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l preset -d 'Set the keys that trade precision against smoothness and speed, as measured on a well-built robot' -r -f -a "precise\t'Smallest tip error that the sensors allow'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l tuning -d 'Set the keys that trade precision against smoothness and speed, as measured on a well-built robot' -r -f -a "precise\t'Smallest tip error that the sensors allow'
 smooth\t'Rate changes reduced to a fifth'
 fast\t'Deviations from the commands corrected five times as fast'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l set -d 'Set one key, as TOML; repeatable [env: as CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms]' -r
@@ -56,7 +56,7 @@ json\t'The numbers of the table as one JSON object'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l end-with-parent -d 'End when the parent process, which has this id, ends, however it ends' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
-complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l preset -d 'Set the keys that trade precision against smoothness and speed, as measured on a well-built robot' -r -f -a "precise\t'Smallest tip error that the sensors allow'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l tuning -d 'Set the keys that trade precision against smoothness and speed, as measured on a well-built robot' -r -f -a "precise\t'Smallest tip error that the sensors allow'
 smooth\t'Rate changes reduced to a fifth'
 fast\t'Deviations from the commands corrected five times as fast'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l set -d 'Set one key, as TOML; repeatable [env: as CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms]' -r
@@ -65,7 +65,7 @@ complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l prefix -d 'Prefix 
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l root -d 'Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]' -r -F
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
-complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l preset -d 'Set the keys that trade precision against smoothness and speed, as measured on a well-built robot' -r -f -a "precise\t'Smallest tip error that the sensors allow'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l tuning -d 'Set the keys that trade precision against smoothness and speed, as measured on a well-built robot' -r -f -a "precise\t'Smallest tip error that the sensors allow'
 smooth\t'Rate changes reduced to a fifth'
 fast\t'Deviations from the commands corrected five times as fast'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l set -d 'Set one key, as TOML; repeatable [env: as CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms]' -r
@@ -82,7 +82,7 @@ complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and not __fish_seen_
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from default" -s h -l help -d 'Print help'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from schema" -s h -l help -d 'Print help'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
-complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l preset -d 'Set the keys that trade precision against smoothness and speed, as measured on a well-built robot' -r -f -a "precise\t'Smallest tip error that the sensors allow'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l tuning -d 'Set the keys that trade precision against smoothness and speed, as measured on a well-built robot' -r -f -a "precise\t'Smallest tip error that the sensors allow'
 smooth\t'Rate changes reduced to a fifth'
 fast\t'Deviations from the commands corrected five times as fast'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l set -d 'Set one key, as TOML; repeatable [env: as CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms]' -r
