@@ -95,15 +95,15 @@ impl Benchmark for LatencyOptions {
             cores: Cores::find()?,
             may_be_realtime: may_be_realtime(),
         };
-        let (began_ns, [.., bare]) = (monotonic_ns(), self.samples());
+        let (began_ns, [.., ipc]) = (monotonic_ns(), self.samples());
         let (mut rounds, mut daemon) = (Vec::new(), OfDaemon::default());
         for number in 1..=self.rounds {
             let mut round = Round::new(began_ns);
             for (part, seconds) in PARTS.into_iter().zip(seconds(self)) {
                 progress.begin(&format!("round {number} of {}, {part}", self.rounds));
                 match part {
-                    BARE => transport::measure(&bench.cores, bare, |leg, latency_ns| {
-                        round.record(&format!("bare.{leg}"), latency_ns);
+                    TRANSPORT => transport::measure(&bench.cores, ipc, |leg, latency_ns| {
+                        round.record(&format!("ipc.{leg}"), latency_ns);
                     })?,
                     link => bench.with_daemon(link, &mut round, &mut daemon)?,
                 }
@@ -115,19 +115,19 @@ impl Benchmark for LatencyOptions {
     }
 }
 
-const BARE: &str = "iceoryx2 alone";
+const TRANSPORT: &str = "iceoryx2 alone";
 const SIMULATED: &str = "simulated";
 /// The parts of a round: iceoryx2 alone, then daemons by their `link.kind`.
-const PARTS: [&str; 3] = [BARE, SIMULATED, "driver"];
+const PARTS: [&str; 3] = [TRANSPORT, SIMULATED, "driver"];
 
 /// Approximate duration of each part of a round \[s\].
 fn seconds(options: &LatencyOptions) -> [f64; 3] {
     let period = options.period.map(|period| period.as_secs_f64());
-    let [samples, stops, bare] = options.samples();
+    let [samples, stops, ipc] = options.samples();
     let samples_s = (samples + inputs::WARM_UP) as f64 * period.unwrap_or(PERIOD_S);
     let stops_s = STOP_S * stops as f64;
     [
-        transport::expected_s(bare),
+        transport::expected_s(ipc),
         // References and obstacles share their periods; there are two kinds of requests.
         AROUND_S + (2.0 + 4.0) * samples_s + stops_s,
         AROUND_S + 2.0 * samples_s,

@@ -24,13 +24,13 @@ fn every_way_is_measured_in_every_round() {
         ("lease.answer", 20.0, f64::MAX),
         ("stop.zero_command", 8.0, 8.0),
         ("stop.grid", 8.0, 8.0),
-        ("bare.one_way", 160.0, 160.0),
+        ("ipc.one_way", 160.0, 160.0),
     ] {
         let row = row(leg);
         assert!((least..=most).contains(&number(row, "samples")), "{row}");
     }
     let least = |leg| number(&row(leg)["latency_us"], "min");
-    assert!(least("bare.round_trip") >= least("bare.one_way"));
+    assert!(least("ipc.round_trip") >= least("ipc.one_way"));
     assert!(least("command.release") >= least("command.handover"));
     assert!(least("command.handover") >= least("command.hop"));
     assert!(least("command.hop") > 0.0);
