@@ -12,7 +12,7 @@ use std::io::{self, Write as _};
 use cdcr_controller::closed_loop::{ClosedLoop, Driven, Sensor};
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, RateWeight};
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
 
@@ -23,7 +23,9 @@ const CYCLES: u64 = 400;
 /// Prints the closed loop of the robot named by the first argument; without one, of the ideal robot.
 fn main() -> Result<(), Box<dyn Error>> {
     let name = std::env::args().nth(1).unwrap_or("ideal".to_owned());
-    let preset = Preset::ALL.into_iter().find(|preset| preset.name() == name);
+    let preset = RobotPreset::ALL
+        .into_iter()
+        .find(|preset| preset.name() == name);
     let csv = csv(preset.ok_or_else(|| format!("there is no robot {name:?}"))?)?;
     Ok(io::stdout().write_all(csv.as_bytes())?)
 }
@@ -32,7 +34,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 ///
 /// # Errors
 /// None for the paper's robot and the default settings.
-pub fn csv(preset: Preset) -> Result<String, Box<dyn Error>> {
+pub fn csv(preset: RobotPreset) -> Result<String, Box<dyn Error>> {
     let robot = Robot::new(&RobotParameters::paper(3))?;
     let is_ideal = preset.flaws() == Flaws::default();
     let settings = NmpcSettings {
@@ -86,7 +88,7 @@ fn point(robot: &Robot, cycle: u64) -> ReferencePoint {
 }
 
 /// As in a daemon whose configuration does not set the motors.
-fn driven(preset: Preset) -> Driven {
+fn driven(preset: RobotPreset) -> Driven {
     Driven {
         flaws: preset.flaws(),
         actuator: Actuator::IDEAL,

@@ -6,7 +6,7 @@ use cdcr_client::DURATION_MAX_S;
 use cdcr_controller::closed_loop::{ClosedLoop, Driven, Sensor};
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::{self, NmpcSettings, RateWeight, SolveReport};
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{Configuration, Robot as Model};
 use cdcr_shared_types::codes::Interface;
@@ -114,7 +114,7 @@ pub(crate) fn simulate(
         without: None,
         seed: count("seed", seed, SEEDS)?,
     };
-    let is_ideal = preset == Preset::Ideal && flaws == Flaws::default() && sensor.is_none();
+    let is_ideal = preset == RobotPreset::Ideal && flaws == Flaws::default() && sensor.is_none();
     if settings.rate_weight == RateWeight::Auto {
         settings.rate_weight = RateWeight::auto(is_ideal);
     }
@@ -313,12 +313,17 @@ impl Simulation {
     }
 }
 
-fn preset(name: &str) -> Result<Preset, Failure> {
-    let known = Preset::ALL.into_iter().find(|preset| preset.name() == name);
+fn preset(name: &str) -> Result<RobotPreset, Failure> {
+    let known = RobotPreset::ALL
+        .into_iter()
+        .find(|preset| preset.name() == name);
     known.ok_or_else(|| {
         Failure::argument(
             format!("no plant is called {name:?}"),
-            format!("Use one of: {}.", Preset::ALL.map(Preset::name).join(", ")),
+            format!(
+                "Use one of: {}.",
+                RobotPreset::ALL.map(RobotPreset::name).join(", ")
+            ),
         )
     })
 }
@@ -335,7 +340,7 @@ fn with_flaws(begin: Flaws, named: Option<&Bound<'_, PyMapping>>) -> PyResult<Fl
     Ok(flaws)
 }
 
-fn sensor_of(name: Option<&str>, preset: Preset) -> Result<Sensor, Failure> {
+fn sensor_of(name: Option<&str>, preset: RobotPreset) -> Result<Sensor, Failure> {
     match name {
         None if preset.measures_tip() => Ok(Sensor::Tip { every: 1 }),
         None | Some("cables") => Ok(Sensor::Cables),

@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use derive_more::{Deref, DerefMut};
 
 use crate::{Place, Running, binary};
@@ -17,7 +17,7 @@ const FLAWS: &str = "CDCR_TEST_FLAWS";
 
 /// The flaws in the environment of a driver process.
 pub fn given_flaws() -> Flaws {
-    let mut flaws = Preset::Laboratory.flaws();
+    let mut flaws = RobotPreset::Laboratory.flaws();
     let given = std::env::var(FLAWS).unwrap_or_default();
     for word in given.split(' ').filter(|word| !word.is_empty()) {
         let (name, value) = word.split_once('=').expect("NAME=VALUE");

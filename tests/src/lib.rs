@@ -28,7 +28,7 @@ use cdcr_client::{
     Connection, FeedEnd, FeedEvent, FeedOptions, Line, RequestError, TelemetryStream, Trajectory,
     monotonic_ns,
 };
-use cdcr_controller::plant::Preset;
+use cdcr_controller::plant::RobotPreset;
 pub use cdcr_process::in_public_memory;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 use cdcr_shared_types::{Obstacle, Response, Status, Telemetry};
@@ -81,10 +81,10 @@ impl Place {
     }
 
     /// A command of this project that uses this place. A daemon there simulates the
-    /// [laboratory](Preset::Laboratory)'s robot.
+    /// [laboratory](RobotPreset::Laboratory)'s robot.
     pub fn command(&self, name: &str) -> Command {
         let mut command = self.command_of(&binary(name));
-        command.envs((name == "cdcrd").then_some((SIMULATED, Preset::Laboratory.name())));
+        command.envs((name == "cdcrd").then_some((SIMULATED, RobotPreset::Laboratory.name())));
         command
     }
 
@@ -232,29 +232,29 @@ pub struct Daemon {
     place: Place,
     log: PathBuf,
     configuration: String,
-    simulated: Preset,
+    simulated: RobotPreset,
 }
 
 impl Daemon {
     /// Starts a daemon with `configuration` (TOML) at a new place and waits until it is up. The simulated
-    /// robot is the [laboratory](Preset::Laboratory)'s unless configured.
+    /// robot is the [laboratory](RobotPreset::Laboratory)'s unless configured.
     pub fn start(configuration: &str) -> Self {
-        Self::start_simulated(configuration, Preset::Laboratory, |_| {})
+        Self::start_simulated(configuration, RobotPreset::Laboratory, |_| {})
     }
 
     /// The same with a command modified by `change`, for example to redirect its log.
     pub fn start_with(configuration: &str, change: impl FnOnce(&mut Command)) -> Self {
-        Self::start_simulated(configuration, Preset::Laboratory, change)
+        Self::start_simulated(configuration, RobotPreset::Laboratory, change)
     }
 
-    /// The same with the [ideal](Preset::Ideal) robot, for a test that needs a robot equal to its model.
+    /// The same with the [ideal](RobotPreset::Ideal) robot, for a test that needs a robot equal to its model.
     pub fn ideal(configuration: &str) -> Self {
-        Self::start_simulated(configuration, Preset::Ideal, |_| {})
+        Self::start_simulated(configuration, RobotPreset::Ideal, |_| {})
     }
 
     fn start_simulated(
         configuration: &str,
-        simulated: Preset,
+        simulated: RobotPreset,
         change: impl FnOnce(&mut Command),
     ) -> Self {
         let place = Place::new();
@@ -330,7 +330,7 @@ impl Daemon {
 }
 
 /// Without an explicit mode, a configuration with a driver also runs on machines without real time.
-fn command_of(place: &Place, configuration: &str, preset: Preset, log: &Path) -> Command {
+fn command_of(place: &Place, configuration: &str, preset: RobotPreset, log: &Path) -> Command {
     let path = place.write("robot.toml", configuration);
     let is_set = |key: &str| configuration.contains(&format!("\n{key} = "));
     let log = std::fs::File::create(log).expect("the folder is writable");

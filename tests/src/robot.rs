@@ -1,7 +1,7 @@
 //! A robot behind a driver, simulated by a test.
 
 use cdcr_client::{CommandRefusal, Connection, PlantDriver, monotonic_ns};
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::limits::COORDINATES_MAX;
@@ -23,13 +23,18 @@ pub struct DrivenRobot {
 }
 
 impl DrivenRobot {
-    /// The [laboratory](Preset::Laboratory)'s robot, bent by `bend_rad`.
+    /// The [laboratory](RobotPreset::Laboratory)'s robot, bent by `bend_rad`.
     pub fn new(
         connection: &Connection,
         interface: Interface,
         bend_rad: [f64; COORDINATES_MAX],
     ) -> Self {
-        Self::with_flaws(connection, interface, bend_rad, Preset::Laboratory.flaws())
+        Self::with_flaws(
+            connection,
+            interface,
+            bend_rad,
+            RobotPreset::Laboratory.flaws(),
+        )
     }
 
     pub fn with_flaws(

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use cdcr_controller::closed_loop::{Driven, FigureEight, FigureEightError, Part, Sensor};
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::NmpcSettings;
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use serde::Deserialize;
 use serde_json::Value;
 
@@ -121,9 +121,9 @@ impl Scenario {
     }
 
     pub(super) fn flaws(&self) -> Flaws {
-        let mut presets = Preset::ALL.into_iter();
-        let plant = presets.find(|preset| preset.name() == self.plant());
-        with(plant.map(Preset::flaws).unwrap_or_default(), &self.flaws)
+        let mut presets = RobotPreset::ALL.into_iter();
+        let own = presets.find(|preset| preset.name() == self.plant());
+        with(own.map(RobotPreset::flaws).unwrap_or_default(), &self.flaws)
     }
 
     /// The controller's model of the motors.

@@ -217,7 +217,7 @@ impl Flaws {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
-pub enum Preset {
+pub enum RobotPreset {
     /// Exactly its model.
     #[default]
     Ideal,
@@ -233,7 +233,7 @@ pub enum Preset {
     Blind,
 }
 
-impl Preset {
+impl RobotPreset {
     /// All presets.
     pub const ALL: [Self; 5] = [
         Self::Ideal,

@@ -8,6 +8,6 @@ mod kinematic;
 mod misbehaving;
 mod slack_cables;
 
-pub use flaws::{FLAWS, FlawError, Flaws, Preset, Sampling};
+pub use flaws::{FLAWS, FlawError, Flaws, RobotPreset, Sampling};
 pub use kinematic::KinematicPlant;
 pub use misbehaving::{MisbehavingRobot, MotorOrder, true_robot};

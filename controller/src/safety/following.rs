@@ -47,7 +47,7 @@ impl FollowingError {
 }
 
 /// Smallest and largest value of each component.
-type Range = (Configuration, Configuration);
+type ComponentRange = (Configuration, Configuration);
 
 /// A measurement of a robot that executes its commands.
 #[derive(Debug, Clone, Copy)]
@@ -55,7 +55,7 @@ struct Followed {
     at: Configuration,
     /// The robot completes its commands at the commanded value plus the first to the second of these. Speeds: their integral
     /// has returned to measurements that lag, so the motion of the lag is still to come. Positions: the error remains.
-    beside: Range,
+    beside: ComponentRange,
 }
 
 /// Compares measurements with the commands of the last [`lag_s`](FollowingRules::lag_s). A robot with a lag
@@ -84,7 +84,7 @@ pub struct FollowingWatch {
     unmeasured_s: f64,
     /// In a latched mode: smallest and largest value of each component where the robot may rest. Motors may have stopped at
     /// once, also those of a driver that fell silent, or complete their motion.
-    latched: Option<Range>,
+    latched: Option<ComponentRange>,
     /// The last measurement in control, unless its error was a fault.
     followed: Option<Followed>,
     error: FollowingError,
@@ -225,7 +225,7 @@ impl FollowingWatch {
     }
 
     /// Smallest and largest commanded value of each component within the lag.
-    fn commanded_range(&self) -> Range {
+    fn commanded_range(&self) -> ComponentRange {
         let since_s = self.now_s - self.rules.lag_s;
         let (mut least, mut most) = (self.commanded, self.commanded);
         let range = least.as_mut_slice().iter_mut().zip(most.as_mut_slice());
@@ -249,7 +249,7 @@ impl FollowingWatch {
 }
 
 /// Widens a range by a configuration.
-fn widen((least, most): &mut Range, by: &Configuration) {
+fn widen((least, most): &mut ComponentRange, by: &Configuration) {
     let range = least.as_mut_slice().iter_mut().zip(most.as_mut_slice());
     for ((least, most), value) in range.zip(by.as_slice()) {
         *least = least.min(*value);

@@ -6,7 +6,7 @@ use cdcr_controller::calibration::{
     Calibration, CalibrationError, CalibrationRow, HeldReason, Parameter, ParameterGroup,
     behind_play, calibrate,
 };
-use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
+use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, RobotPreset};
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -75,7 +75,7 @@ impl Trial {
         let model = Robot::new(&self.configured).unwrap();
         let mut flaws = Flaws {
             offset_m: self.offset_m,
-            ..Preset::Laboratory.flaws()
+            ..RobotPreset::Laboratory.flaws()
         };
         if self.play_m > 0.0 {
             flaws.actuator.play_m = self.play_m;

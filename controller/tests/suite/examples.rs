@@ -17,7 +17,7 @@ mod track_a_spiral;
 #[path = "../../examples/your_own_robot.rs"]
 mod your_own_robot;
 
-use cdcr_controller::plant::Preset;
+use cdcr_controller::plant::RobotPreset;
 
 #[test]
 fn the_spiral_is_tracked() {
@@ -42,7 +42,7 @@ fn one_solve_converges() {
 /// Runs are bit-identical. The ideal robot is on the reference, the laboratory robot within some millimetres.
 #[test]
 fn a_closed_loop_is_written_to_the_bit() {
-    for (preset, error_m) in [(Preset::Ideal, 1e-9), (Preset::Laboratory, 5e-3)] {
+    for (preset, error_m) in [(RobotPreset::Ideal, 1e-9), (RobotPreset::Laboratory, 5e-3)] {
         let csv = closed_loop_csv::csv(preset).unwrap();
         assert_eq!(csv, closed_loop_csv::csv(preset).unwrap());
         let last = csv.lines().last().unwrap();

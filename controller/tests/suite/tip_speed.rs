@@ -3,7 +3,7 @@
 
 use cdcr_controller::closed_loop::{ClosedLoop, Driven, Sensor};
 use cdcr_controller::nmpc::{NmpcSettings, RateWeight};
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
 
@@ -115,7 +115,7 @@ fn a_reference_above_the_limit_is_followed_straight_at_the_limit_and_reached() {
     let line = |time_s: f64| tip_m() + motion * (2.0 * time_s).min(1.0);
     let laboratory = driven(Flaws {
         droop_m: 2e-4,
-        ..Preset::Laboratory.flaws()
+        ..RobotPreset::Laboratory.flaws()
     });
     let limit_m_s = 0.05;
     let until_s = motion.norm() / limit_m_s + 0.3;
@@ -138,7 +138,7 @@ fn a_late_camera_moves_the_robot_at_the_limit_at_most() {
         tip_m() + 0.05 * Vector3::new(cos - 1.0, sin, 0.0)
     };
     let seen = |delay_s, limit_m_s| {
-        let mut flaws = Preset::Laboratory.flaws();
+        let mut flaws = RobotPreset::Laboratory.flaws();
         (flaws.tip.delay_s, flaws.tip_noise_m) = (delay_s, 3e-4);
         let late = Driven {
             sensor: Sensor::CablesAndTip { every: 4 },

@@ -1,6 +1,6 @@
 use std::collections::BTreeMap;
 
-use cdcr_controller::plant::{Flaws, Preset, true_robot};
+use cdcr_controller::plant::{Flaws, RobotPreset, true_robot};
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::counted;
 use serde::{Deserialize, Serialize};
@@ -50,7 +50,7 @@ table! {
         /// motors with an offset of 0.1 mm, uniform noise within 30 µm. "sloppy": worn, with play, delay, a load and a geometry that differs
         /// from the model. "slow": motors with a delay of 30 ms and a lag of 100 ms. "blind": "laboratory", but only the tip is measured,
         /// with 0.3 mm of noise.
-        simulated: Preset = Preset::Ideal;
+        simulated: RobotPreset = RobotPreset::Ideal;
         /// Seed of the simulated noise, {range}.
         simulated_seed: u32 = 1, in 0.0..=4_294_967_295.0;
         /// Whether the tip position is measured in addition to the cables, with 0.3 mm of noise. Not allowed for the ideal robot, always on
@@ -88,7 +88,7 @@ const FLAWS_KEY: &str = "link.simulated_flaws";
 impl LinkConfig {
     /// The robot is exactly its model.
     pub fn is_ideal(&self) -> bool {
-        self.kind == LinkKind::Simulated && self.simulated == Preset::Ideal
+        self.kind == LinkKind::Simulated && self.simulated == RobotPreset::Ideal
     }
 
     /// Validity of a command after its release \[ns\].

@@ -16,7 +16,7 @@ mod trial;
 mod unsent;
 
 use cdcr_controller::estimator::Actuator;
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::safety::{Refusal, Request};
 use nalgebra::Vector3;
 
@@ -64,7 +64,7 @@ fn a_resting_robot_with_offset_and_droop_does_not_creep() {
             if interface == Interface::Position && asked == Request::Hold {
                 trial.plant.set_flaws(Flaws {
                     offset_m: 0.01,
-                    ..Preset::Laboratory.flaws()
+                    ..RobotPreset::Laboratory.flaws()
                 });
                 let faulted = trial.turns(10);
                 assert!(
@@ -89,7 +89,7 @@ fn a_noisy_robot_that_rests_at_a_point_does_not_turn_about_its_tip() {
     let lag = "[actuator]\ntime_constant_ms = 20.0\n";
     for interface in [Interface::Position, Interface::Velocity] {
         let fastest_rad_s = [None, Some(0.0)].map(|rate_weight| {
-            let flaws = Preset::Laboratory.flaws();
+            let flaws = RobotPreset::Laboratory.flaws();
             let mut trial = Trial::with(interface, flaws, &format!("{DIRECT}{lag}"));
             if let Some(rate_weight) = rate_weight {
                 trial.inputs.settings.nmpc.rate_weight = rate_weight.into();
@@ -124,7 +124,7 @@ fn tracking_with_lagging_motors_does_not_oscillate() {
                 ..Actuator::IDEAL
             },
             noise_m: 0.0,
-            ..Preset::Laboratory.flaws()
+            ..RobotPreset::Laboratory.flaws()
         };
         let (reversals, largest_m) = reversals(&mut Trial::with(interface, flaws, ""));
         println!("{interface:?}: {reversals} reversals, {largest_m} m");
@@ -254,7 +254,7 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
 /// Each simulated robot tracks with either interface, and rests when commands expire.
 #[test]
 fn every_simulated_robot_tracks_and_rests_without_commands() {
-    for preset in Preset::ALL {
+    for preset in RobotPreset::ALL {
         for interface in [Interface::Position, Interface::Velocity] {
             let mut trial = Trial::simulated(interface, preset);
             trial.turns(3);
@@ -353,7 +353,7 @@ fn a_robot_that_does_not_follow_is_a_fault_and_a_reset_begins_where_it_is() {
 /// position once it rests.
 #[test]
 fn a_reset_on_the_ramp_does_not_step_the_commanded_position() {
-    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), DIRECT);
+    let mut trial = Trial::with(Interface::Position, RobotPreset::Laboratory.flaws(), DIRECT);
     trial.turns(3);
     trial.begin_tracking();
     // In motion to the first point, which is far from the straight robot.
@@ -409,7 +409,7 @@ fn positions_are_the_integral_of_the_speeds() {
 
 #[test]
 fn no_rate_grows_faster_than_the_acceleration() {
-    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), DIRECT);
+    let mut trial = Trial::with(Interface::Position, RobotPreset::Laboratory.flaws(), DIRECT);
     trial.turns(3);
     // The first point is far from the straight robot: without the limit its rates would jump to the maximum.
     // The plan contains the limit and uses it fully.

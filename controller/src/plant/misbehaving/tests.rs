@@ -1,7 +1,7 @@
 use super::*;
 use crate::estimator::Actuator;
 use crate::plant::FlawError;
-use crate::plant::Preset;
+use crate::plant::RobotPreset;
 use crate::robot::RobotParameters;
 use crate::robot::{BendRates, Shape};
 
@@ -58,7 +58,7 @@ fn run(robot: &mut MisbehavingRobot, order: MotorOrder, steps: u32, step_s: f64)
 
 #[test]
 fn the_ideal_robot_follows_orders_at_once_and_measures_exactly() {
-    let mut robot = robot(Preset::Ideal.flaws());
+    let mut robot = robot(RobotPreset::Ideal.flaws());
     near(&robot, [0.5, -0.2, 0.1, 0.0], 1e-12);
     run(&mut robot, lengths([0.1, 0.2, 0.3, 0.4]), 1, STEP_S);
     near(&robot, [0.1, 0.2, 0.3, 0.4], 1e-12);
@@ -158,7 +158,7 @@ fn sensors_have_the_given_noise_and_are_reproducible() {
     let flaws = Flaws {
         droop_m: 0.0,
         tick_m: 0.0,
-        ..Preset::Laboratory.flaws()
+        ..RobotPreset::Laboratory.flaws()
     };
     let (mut one, mut other) = (robot(flaws), robot(flaws));
     let first = one.measure_cables().unwrap();

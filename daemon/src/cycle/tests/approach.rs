@@ -2,7 +2,7 @@
 
 mod held_back;
 
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::safety::Refusal;
 use nalgebra::Vector3;
 
@@ -21,7 +21,7 @@ fn trial(approach: &str) -> Trial {
     let more = format!("[motion]\napproach = \"{approach}\"\n");
     let flaws = Flaws {
         noise_m: 0.0,
-        ..Preset::Laboratory.flaws()
+        ..RobotPreset::Laboratory.flaws()
     };
     let mut trial = Trial::with(Interface::Position, flaws, &more);
     trial.turns(100);

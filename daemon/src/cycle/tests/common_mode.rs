@@ -1,6 +1,6 @@
 //! Common mode of a section's three cables: length changes that no bend explains.
 
-use cdcr_controller::plant::{MisbehavingRobot, MotorOrder, Preset};
+use cdcr_controller::plant::{MisbehavingRobot, MotorOrder, RobotPreset};
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
 use cdcr_controller::safety::{CommonModeWatch, Mode, Reason, Request};
 
@@ -36,7 +36,7 @@ fn cables_that_no_bend_explains_are_a_fault() {
             (&[3, 4, 5], 10.0, ""),
             (&[0, 1, 2], 10.0, ""),
         ] {
-            let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), more);
+            let mut trial = Trial::with(interface, RobotPreset::Laboratory.flaws(), more);
             trial.turns(5);
             trial.begin_tracking();
             assert!(matches!(trial.turns(200).mode, Mode::Tracking { .. }));
@@ -56,7 +56,7 @@ fn cables_that_no_bend_explains_are_a_fault() {
         }
         let mut off = Trial::with(
             interface,
-            Preset::Laboratory.flaws(),
+            RobotPreset::Laboratory.flaws(),
             "[safety]\ncable_common_m = 0.0\n",
         );
         off.turns(5);
@@ -69,7 +69,7 @@ fn cables_that_no_bend_explains_are_a_fault() {
 #[test]
 fn a_broken_cable_is_a_fault_with_the_defaults() {
     for interface in [Interface::Position, Interface::Velocity] {
-        let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), "");
+        let mut trial = Trial::with(interface, RobotPreset::Laboratory.flaws(), "");
         trial.turns(5);
         trial.begin_tracking();
         trial.turns(200);
@@ -87,7 +87,7 @@ fn bends_are_no_broken_cable() {
     const OFF_RAD: f64 = 0.052;
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
     let most_m = Config::default().safety.cable_common_m;
-    for preset in Preset::ALL {
+    for preset in RobotPreset::ALL {
         let straight = Configuration::straight(3);
         let mut plant = MisbehavingRobot::new(&robot, &straight, preset.flaws(), 7).unwrap();
         let mut watch = CommonModeWatch::new(most_m);

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::robot::{Obstacle, Shape};
 use cdcr_controller::safety::Request;
 use nalgebra::Vector3;
@@ -18,7 +18,7 @@ use crate::obstacles::KnownObstacle;
 fn records(interface: Interface, rehearses: bool) -> (Vec<CycleRecord>, u64) {
     let flaws = Flaws {
         tip_noise_m: 3e-4,
-        ..Preset::Laboratory.flaws()
+        ..RobotPreset::Laboratory.flaws()
     };
     let mut trial = Trial::with(interface, flaws, "[actuator]\ntime_constant_ms = 10.0\n");
     trial.measures_tip = true;

@@ -1,6 +1,6 @@
 //! Resets of a robot whose commanded position is not where it is measured.
 
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::robot::CABLES_MAX;
 use cdcr_controller::safety::{Mode, Reason, Refusal, Request};
 
@@ -17,7 +17,7 @@ fn apart(a: &[f64], b: &[f64]) -> f64 {
 }
 
 fn tracking() -> Trial {
-    tracking_with(Preset::Laboratory.flaws())
+    tracking_with(RobotPreset::Laboratory.flaws())
 }
 
 fn tracking_with(flaws: Flaws) -> Trial {
@@ -180,7 +180,7 @@ fn reset_elsewhere(interface: Interface, error_rad: f64) -> (Trial, Result<(), R
 }
 
 fn stopped_elsewhere(interface: Interface, error_rad: f64, measures_tip: bool) -> Trial {
-    let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), DIRECT);
+    let mut trial = Trial::with(interface, RobotPreset::Laboratory.flaws(), DIRECT);
     trial.measures_tip = measures_tip;
     trial.turns(3);
     trial.begin_tracking();
@@ -207,7 +207,7 @@ fn outcome(trial: &mut Trial, request: Request) -> Result<(), Refusal> {
 #[test]
 fn a_droop_that_is_no_fault_needs_no_word_at_a_reset() {
     for interface in [Interface::Velocity, Interface::Position] {
-        let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), DIRECT);
+        let mut trial = Trial::with(interface, RobotPreset::Laboratory.flaws(), DIRECT);
         trial.turns(3);
         while trial.cable_error_m[0] < WRONG_M {
             trial.cable_error_m[0] += 1e-5;
@@ -282,7 +282,7 @@ fn a_reset_asks_about_a_pose_that_differs_and_about_no_other() {
 /// again and again.
 #[test]
 fn resets_move_no_robot_of_which_the_tip_alone_is_measured() {
-    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), DIRECT);
+    let mut trial = Trial::with(Interface::Position, RobotPreset::Laboratory.flaws(), DIRECT);
     trial.measures_tip_alone = true;
     trial.turns(200);
     trial.feed_line([0.1, 0.05, 0.85], [0.0; 3], 0.0);

@@ -1,7 +1,7 @@
 //! Cycles after a stall of the daemon or of its exchange: the last command has run out, and the driver has
 //! brought the robot to rest.
 
-use cdcr_controller::plant::Preset;
+use cdcr_controller::plant::RobotPreset;
 use cdcr_controller::robot::BendRates;
 use cdcr_controller::safety::{Mode, Request};
 
@@ -20,7 +20,7 @@ fn fastest(rates: &BendRates) -> f64 {
 
 /// A robot at its largest rates.
 fn moving(interface: Interface) -> Trial {
-    let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), DIRECT);
+    let mut trial = Trial::with(interface, RobotPreset::Laboratory.flaws(), DIRECT);
     trial.turns(3);
     trial.begin_tracking();
     assert!(fastest(&trial.turns(12).rates) > 1.5);
@@ -51,7 +51,7 @@ fn rates_grow_from_rest() {
 fn rates_of_positions_that_stood_grow_from_rest() {
     for stall in STALLS {
         let more = format!("command_valid_ms = 100.0\n{DIRECT}");
-        let flaws = Preset::Laboratory.flaws();
+        let flaws = RobotPreset::Laboratory.flaws();
         let mut trial = Trial::with(Interface::Position, flaws, &more);
         trial.turns(3);
         trial.begin_tracking();
@@ -163,7 +163,7 @@ fn a_ramp_does_not_begin_again_after_a_stall_inside_the_cycle() {
 #[test]
 fn rates_begin_with_one_step_while_the_exchange_is_held_up() {
     for interface in BOTH {
-        let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), DIRECT);
+        let mut trial = Trial::with(interface, RobotPreset::Laboratory.flaws(), DIRECT);
         trial.turns(3);
         trial.is_held_up = true;
         trial.begin_tracking();

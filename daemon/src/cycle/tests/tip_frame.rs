@@ -2,7 +2,7 @@
 
 use core::iter;
 
-use cdcr_controller::plant::Preset;
+use cdcr_controller::plant::RobotPreset;
 use cdcr_controller::safety::Mode;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
@@ -16,7 +16,7 @@ const ACROSS_M_S: [f64; 3] = [0.1, 0.0, 0.0];
 
 /// A robot of the laboratory at rest at the beginning of the line, with a tip sensor with these axes.
 fn at_begin(interface: Interface, axes: Matrix3<f64>) -> Trial {
-    let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), DIRECT);
+    let mut trial = Trial::with(interface, RobotPreset::Laboratory.flaws(), DIRECT);
     trial.measures_tip = true;
     trial.tip_axes = axes;
     trial.turns(300);

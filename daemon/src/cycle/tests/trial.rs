@@ -6,7 +6,7 @@ use std::cell::Cell;
 use std::path::Path;
 
 use cdcr_controller::estimator::Measurement;
-use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
+use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, RobotPreset};
 use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
 use cdcr_controller::robot::{CABLES_MAX, Configuration, Obstacle, Shape};
 use cdcr_controller::safety::{LeaseState, Request};
@@ -98,7 +98,7 @@ pub(super) struct Trial {
 impl Trial {
     /// The laboratory's robot.
     pub(super) fn new(interface: Interface) -> Self {
-        Self::with(interface, Preset::Laboratory.flaws(), "")
+        Self::with(interface, RobotPreset::Laboratory.flaws(), "")
     }
 
     /// A robot with these flaws, and additional lines of the configuration.
@@ -106,7 +106,7 @@ impl Trial {
         Self::linked("kind = \"driver\"\n", interface, flaws, more)
     }
 
-    pub(super) fn simulated(interface: Interface, preset: Preset) -> Self {
+    pub(super) fn simulated(interface: Interface, preset: RobotPreset) -> Self {
         let name = format!("{preset:?}").to_lowercase();
         let link = format!("simulated = \"{name}\"\n");
         Self::linked(&link, interface, Flaws::default(), "")

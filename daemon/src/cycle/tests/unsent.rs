@@ -1,7 +1,7 @@
 use super::trial::{PERIOD_S, Trial};
 use super::{DIRECT, MOST_RAD_S2, bits};
 use crate::config::Interface;
-use cdcr_controller::plant::Preset;
+use cdcr_controller::plant::RobotPreset;
 use cdcr_controller::robot::Configuration;
 
 const BOTH: [Interface; 2] = [Interface::Position, Interface::Velocity];
@@ -38,7 +38,7 @@ fn hold_up(trial: &mut Trial, cycles: usize) -> f64 {
 #[test]
 fn commands_that_did_not_leave_move_no_position() {
     for cycles in [2, 5, 21, 25, HELD_UP] {
-        let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), LONG);
+        let mut trial = Trial::with(Interface::Position, RobotPreset::Laboratory.flaws(), LONG);
         hold_up(&mut trial, cycles);
         let sent = trial.sent.unwrap();
         // The newest command is sent before the next gather.
@@ -59,7 +59,7 @@ fn commands_that_did_not_leave_move_no_position() {
 #[test]
 fn the_model_knows_of_commands_that_did_not_leave() {
     for interface in BOTH {
-        let mut trial = Trial::with(interface, Preset::Laboratory.flaws(), LONG);
+        let mut trial = Trial::with(interface, RobotPreset::Laboratory.flaws(), LONG);
         let way_rad = hold_up(&mut trial, HELD_UP);
         let reported = trial.last();
         let beside_rad = largest_apart(&reported.present, &trial.at_release);
@@ -101,7 +101,8 @@ fn a_set_point_that_was_held_up_is_not_caught_up_in_a_jump() {
     for (valid, cycles) in [("", 1..5), (LONG, 1..15)] {
         for cycles in cycles {
             let more = format!("{valid}{DIRECT}");
-            let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), &more);
+            let mut trial =
+                Trial::with(Interface::Position, RobotPreset::Laboratory.flaws(), &more);
             trial.turns(3);
             trial.begin_tracking();
             let fastest = |trial: &Trial, from: &[f64]| {

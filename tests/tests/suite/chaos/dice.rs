@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -59,7 +59,7 @@ impl Dice {
 
     /// The flaws of a random preset. Unless mild, also single flaws, small ones more often than large ones.
     pub(crate) fn flaws(&mut self, is_mild: bool) -> Flaws {
-        let mut flaws = self.pick(&Preset::ALL).flaws();
+        let mut flaws = self.pick(&RobotPreset::ALL).flaws();
         if is_mild {
             return flaws;
         }

@@ -24,7 +24,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use cdcr_client::FeedOptions;
-use cdcr_controller::plant::Preset;
+use cdcr_controller::plant::RobotPreset;
 use cdcr_shared_types::codes::{Interface, Mode};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{Daemon, EndWhenDropped, TIMEOUT, asked, paper_line, wait_mode, wait_until};
@@ -77,7 +77,7 @@ fn run(link: &str) {
     let (seed, duration) = (seed(), half());
     let mut dice = Dice::new(seed);
     let interface = dice.pick(&[Interface::Velocity, Interface::Position]);
-    let preset = dice.pick(&Preset::ALL).name();
+    let preset = dice.pick(&RobotPreset::ALL).name();
     println!(
         "{link}, {interface}, {preset}: CDCR_CHAOS_SEED={seed}, {} s",
         duration.as_secs()

@@ -1,6 +1,6 @@
 //! A robot that does not follow its commands.
 
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::record::largest;
 use cdcr_tests::{Daemon, ask_for, refused, reset_here, wait_until};
@@ -21,7 +21,7 @@ fn a_robot_that_does_not_follow_is_a_fault() {
         let connection = daemon.connect();
         let held = Flaws {
             motor_speed_max_m_s: HELD_M_S,
-            ..Preset::Laboratory.flaws()
+            ..RobotPreset::Laboratory.flaws()
         };
         let mut trail = Trail::new(&connection);
         let mut robot = Robot::with_flaws(&connection, 1.0, held);

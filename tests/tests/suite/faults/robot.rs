@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use cdcr_client::{CommandRefusal, Connection, monotonic_ns};
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Reason, RequestKind};
 use cdcr_shared_types::{Command, Measurement, Telemetry};
 use cdcr_tests::robot::{DrivenRobot, interface_of};
@@ -40,7 +40,7 @@ const EVERY: Duration = Duration::from_millis(1);
 impl Robot {
     /// A straight robot that obeys its daemon's interface, with the first section bent by `bend_rad`.
     pub(crate) fn new(connection: &Connection, bend_rad: f64) -> Self {
-        Self::with_flaws(connection, bend_rad, Preset::Laboratory.flaws())
+        Self::with_flaws(connection, bend_rad, RobotPreset::Laboratory.flaws())
     }
 
     pub(crate) fn with_flaws(connection: &Connection, bend_rad: f64, flaws: Flaws) -> Self {

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use cdcr_controller::estimator::Actuator;
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, Mode, Reason};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
@@ -257,7 +257,7 @@ fn drive_until(daemon: &Daemon, interface: Interface, ending: &AtomicBool) -> f6
             ..Actuator::IDEAL
         },
         offset_m: 0.0,
-        ..Preset::Laboratory.flaws()
+        ..RobotPreset::Laboratory.flaws()
     };
     let mut robot = DrivenRobot::with_flaws(&connection, interface, bends, flaws);
     while !ending.load(Ordering::Relaxed) {

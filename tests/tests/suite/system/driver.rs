@@ -8,7 +8,7 @@ use cdcr_client::{
     Connection, FeedError, FeedEvent, Line, TelemetryStream, TipSensor, monotonic_ns,
     section_lengths_m,
 };
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::robot::Configuration;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{
@@ -186,7 +186,7 @@ fn home_is_reached_with_noisy_sensors() {
     bends[..3].copy_from_slice(&[0.2, -0.1, 0.05]);
     let flaws = Flaws {
         noise_m: 5e-5,
-        ..Preset::Laboratory.flaws()
+        ..RobotPreset::Laboratory.flaws()
     };
     let robot = DrivenRobot::with_flaws(&connection, Interface::Velocity, bends, flaws);
     let mut robot = Robot(robot);

@@ -8,7 +8,7 @@ use std::time::Duration;
 use cdcr_client::model::robot_of;
 use cdcr_client::replay::{Outcome, Replayer};
 use cdcr_client::{FeedError, FeedEvent, Line, Spiral, Trajectory as Curve, events};
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::robot::{BendRates, Configuration};
 use cdcr_shared_types::codes::{
     EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome as Answer, Reason, guard,
@@ -262,7 +262,7 @@ fn cycles_of_a_robot_whose_tip_is_beside_its_bends_are_computed_again_bit_for_bi
     let drive = || {
         let longer = Flaws {
             length_error: 0.03,
-            ..Preset::Laboratory.flaws()
+            ..RobotPreset::Laboratory.flaws()
         };
         let connection = daemon.connect();
         let mut robot =

@@ -1,4 +1,4 @@
-use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_shared_types::codes::Interface;
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -10,7 +10,7 @@ pub(crate) struct PlantOptions {
     /// Simulated robot, as link.simulated: laboratory (well built), sloppy (worn), slow (motors with a lag), blind (only
     /// the tip is measured), ideal (exactly its model)
     #[arg(long, value_parser = preset(), default_value = "laboratory")]
-    pub(crate) preset: Preset,
+    pub(crate) preset: RobotPreset,
     /// Set a flaw, in addition to the preset or in place of its value: a name of `link.simulated_flaws` and a value in SI units;
     /// repeatable
     #[arg(long = "flaw", value_name = "NAME=VALUE", value_parser = flaw)]
@@ -33,9 +33,9 @@ pub(crate) struct PlantOptions {
     pub(crate) seed: u64,
 }
 
-fn preset() -> impl TypedValueParser<Value = Preset> {
-    PossibleValuesParser::new(Preset::ALL.map(Preset::name)).map(|name| {
-        Preset::ALL
+fn preset() -> impl TypedValueParser<Value = RobotPreset> {
+    PossibleValuesParser::new(RobotPreset::ALL.map(RobotPreset::name)).map(|name| {
+        RobotPreset::ALL
             .into_iter()
             .find(|preset| preset.name() == name)
             .unwrap_or_default()

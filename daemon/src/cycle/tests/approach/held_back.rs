@@ -16,7 +16,7 @@ fn is_tracking(record: &CycleRecord) -> bool {
 
 /// The laboratory's robot, with noise, on its way along the line.
 fn on_the_line(approach: &str, more: &str) -> Trial {
-    let mut flaws = Preset::Laboratory.flaws();
+    let mut flaws = RobotPreset::Laboratory.flaws();
     if more == PLAY {
         flaws.actuator.play_m = 1.5e-3;
     }
@@ -75,7 +75,7 @@ fn a_tip_returns_at_its_pace_when_the_obstacle_that_held_it_is_gone() {
 
 #[test]
 fn a_tip_returns_at_its_pace_behind_an_obstacle_on_its_way() {
-    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), LAG);
+    let mut trial = Trial::with(Interface::Position, RobotPreset::Laboratory.flaws(), LAG);
     trial.turns(100);
     trial.put_ball(Vector3::new(0.0, 0.2, 0.837), 0.03);
     trial.begin_tracking();
@@ -108,7 +108,7 @@ fn a_tip_returns_at_its_pace_after_a_pause() {
 #[test]
 fn a_horizon_of_one_step_follows_a_fast_reference() {
     let more = "[controller]\nhorizon_steps = 1\n";
-    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), more);
+    let mut trial = Trial::with(Interface::Position, RobotPreset::Laboratory.flaws(), more);
     trial.turns(100);
     trial.begin_tracking();
     trial.turns(1200);
