@@ -38,7 +38,7 @@ use crate::rt::scheduler::this_thread;
 use crate::rt::sys::take_signal;
 use crate::services;
 use crate::start::{self, Started, abandon_threads, arm, end_signals};
-use crate::status_desk::StatusDesk;
+use crate::status_thread::StatusThread;
 use crate::supervisor::Supervisor;
 use crate::system::{System, with_core};
 
@@ -143,7 +143,7 @@ fn run_with(
         raise_above_ordinary_tasks();
     }
     // At this point, because the thread inherits the core and the priority of the calling thread.
-    let beside = StatusDesk::start(validated, ends.status_desk, shared).and_then(|desk| {
+    let beside = StatusThread::start(validated, ends.status_thread, shared).and_then(|desk| {
         // All services exist now.
         let place = instance.watch(&validated.config.robot.name);
         let caretaker = Caretaker::start(place, reload(ends.reloaded), Arc::clone(shared))?;
@@ -377,7 +377,7 @@ fn spawn_cycle(
     })
 }
 
-/// A cycle that starts latched where the previous daemon was, and with a pose in doubt where that daemon left it so.
+/// A cycle that starts latched where the previous daemon was, and with an uncertain pose where that daemon left it so.
 fn as_left_before(cycle: Cycle, latch: Latch) -> Cycle {
     let Some(reported) = latch.describe() else {
         return cycle;
@@ -386,8 +386,8 @@ fn as_left_before(cycle: Cycle, latch: Latch) -> Cycle {
         "the robot was {reported} before this daemon started and not reset since: it stays stopped until \
          `cdcrctl reset`"
     );
-    let is_in_doubt = latch.is_pose_in_doubt();
-    if is_in_doubt {
+    let is_uncertain = latch.is_pose_uncertain();
+    if is_uncertain {
         tracing::warn!(
             "it was measured far from where its last command had left it: the reset has to accept the pose \
              (`cdcrctl reset --accept-pose`)"
@@ -398,7 +398,7 @@ fn as_left_before(cycle: Cycle, latch: Latch) -> Cycle {
     } else {
         Reason::StoppedBefore
     };
-    cycle.stopped_before(reason).doubting_pose(is_in_doubt)
+    cycle.stopped_before(reason).uncertain_pose(is_uncertain)
 }
 
 /// The life of the cycle thread: sleep until the release, run the cycle, hand over the record, wake the
@@ -437,7 +437,7 @@ pub fn run_cycles(
             // Before any other thread receives the record.
             keep_latched(shared.latch, mode, record.mode);
             if record.mode.is_latched() {
-                shared.latch.doubt_pose(record.seen.pose_differs);
+                shared.latch.set_pose_uncertain(record.seen.pose_differs);
             }
             mode = record.mode;
         });

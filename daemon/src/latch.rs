@@ -12,7 +12,7 @@ use crate::mapped;
 /// No stop, and no fault.
 const FREE: u64 = 0;
 /// Beside the mode: the robot was measured far from where its last command left it.
-const POSE_IN_DOUBT: u64 = 1 << 31;
+const POSE_UNCERTAIN: u64 = 1 << 31;
 /// Beside the mode: the obstacles of the daemon before are lost. Every stop and fault after that keeps it.
 const OBSTACLES_LOST: u64 = 1 << 30;
 
@@ -30,7 +30,7 @@ impl Latch {
     /// Mode and reason of the latch as text, until a reset.
     pub fn describe(&self) -> Option<String> {
         let word = self.word();
-        let mode = (word & !(POSE_IN_DOUBT | OBSTACLES_LOST)) as u32;
+        let mode = (word & !(POSE_UNCERTAIN | OBSTACLES_LOST)) as u32;
         let reason = (word >> 32) as u32;
         let description = || format!("{} ({})", Mode::text_of(mode), Reason::text_of(reason));
         (word != FREE).then(description)
@@ -42,16 +42,16 @@ impl Latch {
         self.store(word_of(mode, reason) | lost);
     }
 
-    /// The last daemon left the pose in doubt.
-    pub fn is_pose_in_doubt(&self) -> bool {
-        self.word() & POSE_IN_DOUBT != 0
+    /// The last daemon left the pose uncertain.
+    pub fn is_pose_uncertain(&self) -> bool {
+        self.word() & POSE_UNCERTAIN != 0
     }
 
-    /// Notes beside a stop or a fault whether the pose is in doubt.
-    pub fn doubt_pose(&self, is_in_doubt: bool) {
+    /// Notes beside a stop or a fault whether the pose is uncertain.
+    pub fn set_pose_uncertain(&self, is_uncertain: bool) {
         let word = self.word();
-        if word != FREE && self.is_pose_in_doubt() != is_in_doubt {
-            self.store(word ^ POSE_IN_DOUBT);
+        if word != FREE && self.is_pose_uncertain() != is_uncertain {
+            self.store(word ^ POSE_UNCERTAIN);
         }
     }
 
@@ -72,8 +72,8 @@ impl Latch {
     /// Latches that the obstacles of the daemon before are lost, whatever has stopped the robot before: what is in its way
     /// has to be added again.
     pub fn lose_obstacles(&self) {
-        let doubt = self.word() & POSE_IN_DOUBT;
-        self.store(word_of(Mode::Stopped, Reason::ObstaclesLost) | OBSTACLES_LOST | doubt);
+        let uncertainty = self.word() & POSE_UNCERTAIN;
+        self.store(word_of(Mode::Stopped, Reason::ObstaclesLost) | OBSTACLES_LOST | uncertainty);
     }
 
     /// They are, whatever has stopped the robot since.
@@ -133,23 +133,23 @@ mod tests {
         assert!(!latch.leave(&path).unwrap());
         let found = Latch::open(&path).unwrap();
         assert_eq!(found.describe().as_deref(), Some(description));
-        for is_in_doubt in [true, true, false, true] {
-            found.doubt_pose(is_in_doubt);
+        for is_uncertain in [true, true, false, true] {
+            found.set_pose_uncertain(is_uncertain);
             let next = Latch::open(&path).unwrap();
-            assert_eq!(next.is_pose_in_doubt(), is_in_doubt);
+            assert_eq!(next.is_pose_uncertain(), is_uncertain);
             assert_eq!(next.describe().as_deref(), Some(description));
         }
-        // Lost obstacles come first, and the doubt remains.
+        // Lost obstacles come first, and the uncertainty remains.
         assert!(!found.has_lost_obstacles());
         found.lose_obstacles();
-        assert!(found.has_lost_obstacles() && found.is_pose_in_doubt());
+        assert!(found.has_lost_obstacles() && found.is_pose_uncertain());
         found.set(Mode::Faulted, Reason::MeasurementLost);
         assert!(Latch::open(&path).unwrap().has_lost_obstacles());
         assert_eq!(found.describe().as_deref(), Some(description));
         found.clear();
         assert!(!found.has_lost_obstacles());
-        // There is no doubt without a stop.
-        found.doubt_pose(true);
+        // No pose is uncertain without a stop.
+        found.set_pose_uncertain(true);
         assert_eq!(Latch::open(&path).unwrap().describe(), None);
     }
 }

@@ -65,7 +65,7 @@ pub mod rt;
 pub mod service_manager;
 pub mod services;
 mod start;
-mod status_desk;
+mod status_thread;
 pub mod supervisor;
 mod system;
 mod warnings;

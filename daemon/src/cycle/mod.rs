@@ -76,8 +76,8 @@ pub struct Cycle {
     stale_ns: u64,
     /// The robot left a latched mode, and control has not begun since.
     control_begins: bool,
-    /// The daemon before this one left the pose in doubt.
-    pose_in_doubt: bool,
+    /// The daemon before this one left the pose uncertain.
+    pose_is_uncertain: bool,
     /// Suspend count of the machine at the last cycle.
     suspends: u64,
     clearance: present_clearance::PresentClearance,
@@ -122,7 +122,7 @@ impl Cycle {
                 followed.clone(),
             ),
             control_begins: false,
-            pose_in_doubt: false,
+            pose_is_uncertain: false,
             stale_ns: 0,
             suspends: 0,
             modes: ModeMachine::default(),
@@ -368,7 +368,7 @@ impl Cycle {
     /// their motion, unless a request to move comes earlier. A commanded position elsewhere then moves to the robot.
     fn begin_control(&mut self, was_latched: bool) {
         let mode = self.modes.mode();
-        self.end_doubt();
+        self.end_uncertainty();
         self.control_begins = (self.control_begins || was_latched) && !mode.is_latched();
         if !self.control_begins {
             self.state.give_up_way();

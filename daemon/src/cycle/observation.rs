@@ -27,7 +27,7 @@ impl Cycle {
             fault: self.fault(measurement),
             measurement_rejected: self.state.is_measurement_rejected(),
             tip_contradiction_m: self.state.tip_watch.contradiction_m(),
-            pose_differs: self.pose_in_doubt
+            pose_differs: self.pose_is_uncertain
                 || self.state.following().error().largest_rad() > Policy::POSE_DIFFERS_RAD,
         }
     }
@@ -35,15 +35,15 @@ impl Cycle {
     /// The daemon before this one ended while the robot was measured far from where its last command had left it. This one
     /// does not know that place: the first reset has to accept the pose.
     #[must_use]
-    pub fn doubting_pose(mut self, is_in_doubt: bool) -> Self {
-        self.pose_in_doubt = is_in_doubt;
+    pub fn uncertain_pose(mut self, is_uncertain: bool) -> Self {
+        self.pose_is_uncertain = is_uncertain;
         self
     }
 
     /// A reset was granted: the pose is accepted.
-    pub(super) fn end_doubt(&mut self) {
+    pub(super) fn end_uncertainty(&mut self) {
         let mode = self.modes.mode();
-        self.pose_in_doubt &= mode.is_latched() || mode == Mode::Starting;
+        self.pose_is_uncertain &= mode.is_latched() || mode == Mode::Starting;
     }
 
     /// Reason to hold although there is no fault.

@@ -3,22 +3,23 @@
 use super::Severity::Warning;
 use super::finding::{Assessed, problem, warn_unless};
 use super::scheduler::PERIOD_MS_FINE;
-use super::{CPU, CoreSet, Reading, Scene};
+use super::{CPU, CoreSet, Observations, Reading};
 use crate::system::SIBLING_SHARE;
 
 /// A sleep state with a shorter exit latency is not deep \[µs\].
 const EXIT_US: i64 = 20;
 
-pub(super) fn cores(scene: &Scene) -> Assessed {
-    let [online, allowed] = [scene.system.online()?, scene.system.allowed()?].map(|set| set.len());
+pub(super) fn cores(observed: &Observations) -> Assessed {
+    let [online, allowed] =
+        [observed.system.online()?, observed.system.allowed()?].map(|set| set.len());
     let value = format!("{online} online, {allowed} allowed");
     let remedy = "use a machine or a control group with two cores or more";
     warn_unless(online.min(allowed) > 1, value, remedy)
 }
 
-pub(super) fn isolation(scene: &Scene) -> Assessed {
-    let core = scene.core()?;
-    let isolated = scene.system.cores("isolated")?;
+pub(super) fn isolation(observed: &Observations) -> Assessed {
+    let core = observed.core()?;
+    let isolated = observed.system.cores("isolated")?;
     if isolated.contains(&core) {
         return Ok(format!("core {core} is isolated"));
     }
@@ -26,7 +27,7 @@ pub(super) fn isolation(scene: &Scene) -> Assessed {
         return problem!(Warning, "core {core} is not isolated, but {isolated} is"
             => "set realtime.core = {better}");
     }
-    if scene.system.online()?.len() < 2 {
+    if observed.system.online()?.len() < 2 {
         return problem!(Warning, "the only core cannot be isolated"
             => "use a machine with two cores or more");
     }
@@ -35,17 +36,22 @@ pub(super) fn isolation(scene: &Scene) -> Assessed {
             kernel.timer_migration=0 in /etc/sysctl.d/")
 }
 
-pub(super) fn tick(scene: &Scene) -> Assessed {
-    let core = scene.core()?;
-    let has_no_tick = scene.has_no_tick()?;
-    let callbacks = CoreSet::parse(&scene.system.boot_option("rcu_nocbs")?.unwrap_or_default());
+pub(super) fn tick(observed: &Observations) -> Assessed {
+    let core = observed.core()?;
+    let has_no_tick = observed.has_no_tick()?;
+    let callbacks = CoreSet::parse(
+        &observed
+            .system
+            .boot_option("rcu_nocbs")?
+            .unwrap_or_default(),
+    );
     let value = match (has_no_tick, callbacks.contains(&core)) {
         // A core without the tick is also freed from callbacks.
         (true, _) => "nohz_full: timer tick off; rcu_nocbs: RCU callbacks off",
         (false, true) => "nohz_full: timer tick on; rcu_nocbs: RCU callbacks off",
         (false, false) => "nohz_full: timer tick on; rcu_nocbs: RCU callbacks on",
     };
-    let period_ms = scene.period_ms();
+    let period_ms = observed.period_ms();
     if has_no_tick || period_ms >= PERIOD_MS_FINE {
         return Ok(value.to_owned());
     }
@@ -53,13 +59,13 @@ pub(super) fn tick(scene: &Scene) -> Assessed {
         => "boot with nohz_full={core} rcu_nocbs={core}, and set kernel.timer_migration=0 in /etc/sysctl.d/")
 }
 
-pub(super) fn siblings(scene: &Scene) -> Assessed {
-    let core = scene.core()?;
-    let siblings = scene.system.siblings(core)?;
+pub(super) fn siblings(observed: &Observations) -> Assessed {
+    let core = observed.core()?;
+    let siblings = observed.system.siblings(core)?;
     if siblings.is_empty() {
         return Ok(format!("core {core} shares no physical core"));
     }
-    let loads = &scene.load()?.cores;
+    let loads = &observed.load()?.cores;
     let busy = siblings.iter().filter_map(|core| loads.get(core));
     let busy = busy.map(|load| load.busy).fold(0.0, f64::max);
     let percent = 100.0 * busy;
@@ -67,15 +73,15 @@ pub(super) fn siblings(scene: &Scene) -> Assessed {
     if busy < SIBLING_SHARE {
         return Ok(value);
     }
-    let remedy = rest_alone(scene, &siblings)?;
+    let remedy = rest_alone(observed, &siblings)?;
     problem!(Warning, "{value}" => "{remedy}")
 }
 
 /// The remedy that gives the core a physical core of its own. Siblings are switched off only if another core is
 /// left for everything else; core 0 cannot be.
-fn rest_alone(scene: &Scene, siblings: &CoreSet) -> Reading {
+fn rest_alone(observed: &Observations, siblings: &CoreSet) -> Reading {
     let without = |left: CoreSet, core: &usize| left.without(*core);
-    let apart = siblings.iter().fold(scene.other_cores()?, without);
+    let apart = siblings.iter().fold(observed.other_cores()?, without);
     if apart.is_empty() {
         return Ok("use a machine with two physical cores or more".to_owned());
     }
@@ -87,23 +93,23 @@ fn rest_alone(scene: &Scene, siblings: &CoreSet) -> Reading {
     Ok(format!("echo 0 | sudo tee{files}"))
 }
 
-pub(super) fn governor(scene: &Scene) -> Assessed {
-    let path = format!("{CPU}/cpu{}/cpufreq/scaling_governor", scene.core()?);
-    match scene.system.read_if_there(&path)? {
+pub(super) fn governor(observed: &Observations) -> Assessed {
+    let path = format!("{CPU}/cpu{}/cpufreq/scaling_governor", observed.core()?);
+    match observed.system.read_if_there(&path)? {
         None => Ok("none: the system does not choose the frequency".to_owned()),
         Some(governor) if governor == "performance" => Ok(governor),
         Some(other) => problem!(Warning, "{other}" => "echo performance | sudo tee {path}"),
     }
 }
 
-pub(super) fn deep_sleep(scene: &Scene) -> Assessed {
-    let Some((exit_us, name)) = deepest_sleep(scene)? else {
+pub(super) fn deep_sleep(observed: &Observations) -> Assessed {
+    let Some((exit_us, name)) = deepest_sleep(observed)? else {
         return Ok("none: the system does not choose how to sleep".to_owned());
     };
     let value = format!("{name}, {exit_us} µs to wake up");
-    match &scene.probe.deep_sleep_lock {
+    match &observed.probe.deep_sleep_lock {
         _ if exit_us <= EXIT_US => Ok(value),
-        _ if !scene.realtime().no_deep_sleep => {
+        _ if !observed.realtime().no_deep_sleep => {
             problem!(Warning, "{value}; realtime.no_deep_sleep is false"
             => "set realtime.no_deep_sleep = true")
         }
@@ -116,9 +122,9 @@ pub(super) fn deep_sleep(scene: &Scene) -> Assessed {
 }
 
 /// Exit latency \[µs\] and name of the deepest enabled sleep state.
-fn deepest_sleep(scene: &Scene) -> Reading<Option<(i64, String)>> {
-    let system = &scene.system;
-    let folder = format!("{CPU}/cpu{}/cpuidle", scene.core()?);
+fn deepest_sleep(observed: &Observations) -> Reading<Option<(i64, String)>> {
+    let system = &observed.system;
+    let folder = format!("{CPU}/cpu{}/cpuidle", observed.core()?);
     let mut deepest: Option<(i64, String)> = None;
     for state in system.names(&folder) {
         let is_off = system.read_if_there(&format!("{folder}/{state}/disable"))?;

@@ -2,8 +2,8 @@
 
 use super::Severity::Warning;
 use super::finding::{Assessed, problem, warn_unless};
-use super::sample::{Interrupt, Load, Thread};
-use super::{CoreSet, Scene, unreadable};
+use super::sample::{Interrupt, Load, ThreadSample};
+use super::{CoreSet, Observations, unreadable};
 
 /// A smaller share of steal is within the accuracy of its accounting.
 const STEAL_SHARE: f64 = 0.01;
@@ -17,10 +17,10 @@ fn named(all: impl Iterator<Item = String>) -> String {
     all.take(3).collect::<Vec<_>>().join(", ")
 }
 
-pub(super) fn steal(scene: &Scene) -> Assessed {
-    let core = scene.core()?;
+pub(super) fn steal(observed: &Observations) -> Assessed {
+    let core = observed.core()?;
     let hidden = || unreadable(&format!("the time of core {core}"), "not shown");
-    let load = scene.load()?.cores.get(&core).ok_or_else(hidden)?;
+    let load = observed.load()?.cores.get(&core).ok_or_else(hidden)?;
     let [now, since_start] = [load.steal, load.steal_since_start].map(|share| 100.0 * share);
     let value = format!("{now:.1} % in this second, {since_start:.2} % since boot");
     let is_good = now.max(since_start) < 100.0 * STEAL_SHARE;
@@ -28,26 +28,26 @@ pub(super) fn steal(scene: &Scene) -> Assessed {
     warn_unless(is_good, value, remedy)
 }
 
-pub(super) fn neighbours(scene: &Scene) -> Assessed {
-    let core = scene.core()?;
-    let threads = scene.load()?.threads.iter();
+pub(super) fn neighbours(observed: &Observations) -> Assessed {
+    let core = observed.core()?;
+    let threads = observed.load()?.threads.iter();
     let here = threads.filter(|thread| thread.core == core && thread.share > 0.0);
-    let here: Vec<&Thread> = here.collect();
+    let here: Vec<&ThreadSample> = here.collect();
     let Some(busiest) = here.first() else {
         return Ok(format!("no other threads on core {core}"));
     };
     let sum: f64 = here.iter().map(|thread| thread.share).sum();
-    let one = |t: &&Thread| format!("{} ({}) {:.0} %", t.name, t.id, 100.0 * t.share);
+    let one = |t: &&ThreadSample| format!("{} ({}) {:.0} %", t.name, t.id, 100.0 * t.share);
     let each = named(here.iter().map(one));
     let value = format!("{:.0} % of core {core}: {each}", 100.0 * sum);
     let isolate = || "isolate the core (see `isolated core`)".to_owned();
-    let remedy = elsewhere(scene, busiest, "   (or isolate the core)").unwrap_or_else(isolate);
+    let remedy = elsewhere(observed, busiest, "   (or isolate the core)").unwrap_or_else(isolate);
     warn_unless(sum < NEIGHBOUR_SHARE, value, remedy)
 }
 
 /// The remedy that moves a thread to another core, with an alternative; `None` if it cannot be moved.
-fn elsewhere(scene: &Scene, thread: &Thread, alternative: &str) -> Option<String> {
-    let others = scene.other_cores().unwrap_or_default();
+fn elsewhere(observed: &Observations, thread: &ThreadSample, alternative: &str) -> Option<String> {
+    let others = observed.other_cores().unwrap_or_default();
     // The core of another daemon of ours depends on its configuration.
     let is_daemons = matches!(&*thread.name, "cdcr-cycle" | "cdcr-exchange");
     let remedy = match (is_daemons, others.is_empty()) {
@@ -62,12 +62,13 @@ fn elsewhere(scene: &Scene, thread: &Thread, alternative: &str) -> Option<String
     Some(remedy.to_owned())
 }
 
-pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
-    let core = scene.core()?;
-    let limit = scene.realtime().exchange_priority;
-    let rivals = rivals(scene.load()?, core, limit);
+pub(super) fn realtime_neighbours(observed: &Observations) -> Assessed {
+    let core = observed.core()?;
+    let limit = observed.realtime().exchange_priority;
+    let rivals = rivals(observed.load()?, core, limit);
     let (kernel, programs): (Vec<_>, Vec<_>) = rivals.iter().partition(|thread| thread.is_kernel);
-    let described = |threads: &[&Thread]| named(threads.iter().map(|thread| described(thread)));
+    let described =
+        |threads: &[&ThreadSample]| named(threads.iter().map(|thread| described(thread)));
     let Some(first) = programs.first() else {
         return Ok(match kernel.len() {
             0 => "none above the loop".to_owned(),
@@ -75,13 +76,13 @@ pub(super) fn realtime_neighbours(scene: &Scene) -> Assessed {
         });
     };
     let lower = || format!("sudo chrt -f -p 1 {}", first.id);
-    let remedy = elsewhere(scene, first, "").unwrap_or_else(lower);
+    let remedy = elsewhere(observed, first, "").unwrap_or_else(lower);
     let (count, described) = (programs.len(), described(&programs));
     problem!(Warning, "{count} can use core {core}: {described}" => "{remedy}")
 }
 
 /// A real-time thread; a kernel thread with its purpose.
-fn described(thread: &Thread) -> String {
+fn described(thread: &ThreadSample) -> String {
     let (name, id, priority) = (&thread.name, thread.id, thread.priority);
     let policy = ["priority", "deadline"][usize::from(thread.is_deadline)];
     let errand = if thread.is_kernel { errand(name) } else { "" };
@@ -105,20 +106,20 @@ fn errand(name: &str) -> &'static str {
 }
 
 /// Threads that may precede the exchange on the core, and programs pinned there.
-fn rivals(load: &Load, core: usize, exchange_priority: i32) -> Vec<&Thread> {
-    let is_rival = |thread: &&Thread| {
+fn rivals(load: &Load, core: usize, exchange_priority: i32) -> Vec<&ThreadSample> {
+    let is_rival = |thread: &&ThreadSample| {
         let goes_before = thread.is_deadline || thread.priority >= exchange_priority;
         let is_pinned_here = thread.allowed.len() == 1 && !thread.is_kernel;
         thread.is_realtime() && thread.allowed.contains(&core) && (goes_before || is_pinned_here)
     };
-    let mut rivals: Vec<&Thread> = load.threads.iter().filter(is_rival).collect();
+    let mut rivals: Vec<&ThreadSample> = load.threads.iter().filter(is_rival).collect();
     rivals.sort_by_key(|thread| (-thread.priority, thread.id));
     rivals
 }
 
-pub(super) fn interrupts(scene: &Scene) -> Assessed {
-    let core = scene.core()?;
-    let rates = &scene.load()?.interrupts;
+pub(super) fn interrupts(observed: &Observations) -> Assessed {
+    let core = observed.core()?;
+    let rates = &observed.load()?.interrupts;
     if rates.is_empty() {
         return Ok(format!("none on core {core}"));
     }
@@ -130,23 +131,24 @@ pub(super) fn interrupts(scene: &Scene) -> Assessed {
     let Some(worst) = devices.first().filter(|_| device_hz >= INTERRUPT_HZ) else {
         return Ok(value);
     };
-    let (others, label) = (scene.other_cores()?, &worst.label);
+    let (others, label) = (observed.other_cores()?, &worst.label);
     if others.is_empty() {
         return problem!(Warning, "{value}" => "use a machine with two cores or more");
     }
     problem!(Warning, "{value}" => "echo {others} | sudo tee /proc/irq/{label}/smp_affinity_list")
 }
 
-pub(super) fn irqbalance(scene: &Scene) -> Assessed {
-    let mut threads = scene.load()?.threads.iter();
-    let Some(Thread { process, .. }) = threads.find(|thread| thread.name == "irqbalance") else {
+pub(super) fn irqbalance(observed: &Observations) -> Assessed {
+    let mut threads = observed.load()?.threads.iter();
+    let Some(ThreadSample { process, .. }) = threads.find(|thread| thread.name == "irqbalance")
+    else {
         return Ok("does not run".to_owned());
     };
-    let core = scene.core()?;
-    if scene.system.cores("isolated")?.contains(&core) {
+    let core = observed.core()?;
+    if observed.system.cores("isolated")?.contains(&core) {
         return Ok("runs, but leaves isolated cores alone".to_owned());
     }
-    let environment = scene.system.read(&format!("/proc/{process}/environ"))?;
+    let environment = observed.system.read(&format!("/proc/{process}/environ"))?;
     let mut variables = environment.split('\0');
     let banned = variables.find_map(|word| word.strip_prefix("IRQBALANCE_BANNED_CPULIST="));
     if CoreSet::parse(banned.unwrap_or_default()).contains(&core) {

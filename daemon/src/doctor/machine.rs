@@ -10,7 +10,7 @@ use rustix::fs::{Access, access};
 
 use super::Severity::{Fault, Unknown, Warning};
 use super::finding::{Assessed, problem};
-use super::{Scene, unreadable};
+use super::{Observations, unreadable};
 use crate::services::daemon_bytes;
 
 /// Clocks that are read without a system call.
@@ -20,9 +20,9 @@ const SLOW: &str = "hpet acpi_pm jiffies refined-jiffies pit hyperv_clocksource_
 /// Parts of the names of machines that are virtual.
 const HYPERVISORS: &str = "KVM, QEMU, VMware, VirtualBox, Virtual Machine, Xen";
 
-pub(super) fn clock_source(scene: &Scene) -> Assessed {
+pub(super) fn clock_source(observed: &Observations) -> Assessed {
     let is_among = |names: &str, name: &str| names.split(' ').any(|known| known == name);
-    let system = &scene.system;
+    let system = &observed.system;
     let folder = "/sys/devices/system/clocksource/clocksource0";
     let current = system.read(&format!("{folder}/current_clocksource"))?;
     if is_among(FAST, &current) {
@@ -42,12 +42,12 @@ pub(super) fn clock_source(scene: &Scene) -> Assessed {
     }
 }
 
-pub(super) fn virtual_machine(scene: &Scene) -> Assessed {
-    let processor = scene.system.read("/proc/cpuinfo")?;
+pub(super) fn virtual_machine(observed: &Observations) -> Assessed {
+    let processor = observed.system.read("/proc/cpuinfo")?;
     let mut flags = processor.lines().filter(|line| line.starts_with("flags"));
     let has_flag = flags.any(|line| line.split_whitespace().any(|flag| flag == "hypervisor"));
     let product = ["sys_vendor", "product_name"].map(|name| {
-        let text = scene.system.read(&format!("/sys/class/dmi/id/{name}"));
+        let text = observed.system.read(&format!("/sys/class/dmi/id/{name}"));
         text.unwrap_or_default()
     });
     let product = product.join(" ");
@@ -76,13 +76,13 @@ const fn client_bytes() -> u64 {
 const DAEMON_FILES: u64 = 60;
 const CLIENT_FILES: u64 = 60;
 
-pub(super) fn shared_memory(scene: &Scene) -> Assessed {
-    let probe = &scene.probe;
-    let root = scene.validated.location.root().display().to_string();
+pub(super) fn shared_memory(observed: &Observations) -> Assessed {
+    let probe = &observed.probe;
+    let root = observed.validated.location.root().display().to_string();
     let hidden = |cause| unreadable(&root, cause);
     let (size, free) = probe.shared_memory_bytes.as_ref().map_err(hidden)?;
     // A running daemon has already allocated its memory.
-    let started = u64::from(!scene.daemon_runs());
+    let started = u64::from(!observed.daemon_runs());
     let (daemon, daemon_files) = (started * daemon_bytes(), started * DAEMON_FILES);
     let needed = daemon + client_bytes();
     let [free_mb, size_mb, needed_mb] = [*free, *size, needed].map(|bytes| bytes as f64 * 1e-6);
@@ -102,14 +102,14 @@ pub(super) fn shared_memory(scene: &Scene) -> Assessed {
         => "sudo mount -o remount,size={enough}M {mount}   (a container: --shm-size={enough}m)")
 }
 
-pub(super) fn huge_pages(scene: &Scene) -> Assessed {
+pub(super) fn huge_pages(observed: &Observations) -> Assessed {
     let path = "/sys/kernel/mm/transparent_hugepage/enabled";
-    let Some(text) = scene.system.read_if_there(path)? else {
+    let Some(text) = observed.system.read_if_there(path)? else {
         return Ok("the kernel has none".to_owned());
     };
     let odd = || unreadable(path, format!("no choice in brackets in {text:?}"));
     let choice = chosen(&text, ['[', ']']).ok_or_else(odd)?;
-    match &scene.probe.no_huge_pages {
+    match &observed.probe.no_huge_pages {
         _ if choice != "always" => Ok(choice.to_owned()),
         Ok(()) => Ok("always, but disabled by the daemon for itself".to_owned()),
         Err(refusal) => {
@@ -119,12 +119,12 @@ pub(super) fn huge_pages(scene: &Scene) -> Assessed {
     }
 }
 
-pub(super) fn swap(scene: &Scene) -> Assessed {
-    let areas = scene.system.read_if_there("/proc/swaps")?;
+pub(super) fn swap(observed: &Observations) -> Assessed {
+    let areas = observed.system.read_if_there("/proc/swaps")?;
     // The first line is the header.
     match areas.unwrap_or_default().lines().skip(1).count() {
         0 => Ok("none".to_owned()),
-        count if scene.probe.memory_lock.is_ok() => {
+        count if observed.probe.memory_lock.is_ok() => {
             Ok(format!("{count} in use; memory can be locked"))
         }
         count => problem!(Warning, "{count} in use; memory is not locked"
@@ -132,15 +132,15 @@ pub(super) fn swap(scene: &Scene) -> Assessed {
     }
 }
 
-pub(super) fn root_folder(scene: &Scene) -> Assessed {
-    let root = scene.validated.location.root();
+pub(super) fn root_folder(observed: &Observations) -> Assessed {
+    let root = observed.validated.location.root();
     let shown = root.display();
-    if let Ok(false) = scene.probe.root_in_memory {
+    if let Ok(false) = observed.probe.root_in_memory {
         return problem!(Fault, "{shown} is on a disk"
             => "use a folder in memory (tmpfs), in /dev/shm or /run: --root DIR, or transport.root");
     }
-    let path = scene.system.path(root);
-    let user = scene.probe.user_id;
+    let path = observed.system.path(root);
+    let user = observed.probe.user_id;
     let fault = match std::fs::metadata(&path) {
         Err(cause) if cause.kind() != ErrorKind::NotFound => format!("{shown}: {cause}"),
         Err(_) if can_be_created(&path) => {
@@ -154,7 +154,7 @@ pub(super) fn root_folder(scene: &Scene) -> Assessed {
         Ok(folder) => {
             let mode = folder.permissions().mode() & 0o7777;
             let value = format!("{shown}, owner {user}, mode {mode:o}");
-            let is_for_group = scene.validated.group_id.is_some();
+            let is_for_group = observed.validated.group_id.is_some();
             let foreign = if is_for_group { 0o002 } else { 0o022 };
             if mode & foreign == 0 {
                 return Ok(value);
@@ -183,7 +183,7 @@ mod tests {
     fn shared_memory_must_hold_a_daemon_and_a_client() {
         let mut machine = Machine::new(&[("/run/cdcr/cdcr_cdcr.lock", "12\n")]);
         let mut with_free = |bytes: u64| {
-            machine.scene.probe.shared_memory_bytes = Ok((1 << 26, bytes));
+            machine.observed.probe.shared_memory_bytes = Ok((1 << 26, bytes));
             machine.finding("shared_memory").severity
         };
         assert_eq!(with_free(daemon_bytes() - 1), Fault);

@@ -1,6 +1,6 @@
 //! `cdcrd doctor`: findings about this machine that affect the timing of the loop, with their remedies.
 //!
-//! A [`Scene`] contains all observations: files ([`System`]), trials ([`Probe`]), one second of counters
+//! A [`Observations`] contains all observations: files ([`System`]), trials ([`Probe`]), one second of counters
 //! ([`Load`]), and the configuration. Each check assesses one aspect of it and changes nothing, so that tests
 //! can assess scenes of their own.
 //!
@@ -31,7 +31,7 @@ use crate::system::{
 
 /// All observations.
 #[derive(Debug, Clone)]
-struct Scene {
+struct Observations {
     system: System,
     /// The configuration with the chosen core.
     validated: Validated,
@@ -44,7 +44,7 @@ struct Check {
     key: &'static str,
     title: &'static str,
     why: &'static str,
-    assess: fn(&Scene) -> Assessed,
+    assess: fn(&Observations) -> Assessed,
 }
 
 /// The function of each check (its name is the key), its title, and the reason why it matters.
@@ -116,20 +116,20 @@ pub(crate) fn examine(validated: &Validated) -> DoctorReport {
     let mut ours = vec![std::process::id()];
     ours.extend(daemon_process(&system, &validated));
     let core = validated.config.realtime.core().ok_or_else(no_core);
-    let scene = Scene {
+    let observed = Observations {
         load: core.and_then(|core| Load::watch(&system, core, &ours)),
         probe: Probe::new(&system, &validated),
         system,
         validated,
     };
-    scene.report()
+    observed.report()
 }
 
 fn no_core() -> Unreadable {
     unreadable("the core", "the system does not report its cores")
 }
 
-impl Scene {
+impl Observations {
     fn report(&self) -> DoctorReport {
         DoctorReport::new(CHECKS.iter().map(|check| check.finding(self)).collect())
     }
@@ -177,9 +177,9 @@ impl Scene {
 }
 
 impl Check {
-    fn finding(&self, scene: &Scene) -> Finding {
-        let concerns = scene.realtime().mode != RealtimeMode::Off || ALWAYS.contains(&self.key);
-        let (severity, value, remedy) = match (self.assess)(scene) {
+    fn finding(&self, observed: &Observations) -> Finding {
+        let concerns = observed.realtime().mode != RealtimeMode::Off || ALWAYS.contains(&self.key);
+        let (severity, value, remedy) = match (self.assess)(observed) {
             Err(problem) if concerns => (problem.severity, problem.value, problem.remedy),
             Ok(value) | Err(Problem { value, .. }) => {
                 (Severity::Ok, value, "nothing to do".to_owned())

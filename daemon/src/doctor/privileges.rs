@@ -1,7 +1,7 @@
 //! Privileges: priority, core, locked memory.
 
 use super::finding::{Assessed, problem};
-use super::{Reading, Scene, unreadable};
+use super::{Observations, Reading, unreadable};
 
 /// A daemon had 179 to 215 MB locked; each client adds its shared memory.
 const LOCKED_BYTES: u64 = 512 << 20;
@@ -23,64 +23,65 @@ fn grant(limit: &str, container: &str) -> String {
     )
 }
 
-fn is_capable(scene: &Scene, capability: u32) -> Reading<bool> {
-    let field = scene.system.own_status("CapEff")?;
+fn is_capable(observed: &Observations, capability: u32) -> Reading<bool> {
+    let field = observed.system.own_status("CapEff")?;
     let odd = |_| unreadable("CapEff", format!("invalid number {field:?}"));
     let bits = u64::from_str_radix(&field, 16).map_err(odd)?;
     Ok(bits >> capability & 1 == 1)
 }
 
 /// The resource limit or a capability allows the cycle's priority.
-pub(super) fn may_have_priority(scene: &Scene) -> Reading<bool> {
-    let asked = u64::try_from(scene.realtime().cycle_priority).unwrap_or(0);
-    let limit_is_enough = scene.probe.rtprio_max.is_none_or(|limit| limit >= asked);
-    Ok(limit_is_enough || is_capable(scene, CAP_SYS_NICE)?)
+pub(super) fn may_have_priority(observed: &Observations) -> Reading<bool> {
+    let asked = u64::try_from(observed.realtime().cycle_priority).unwrap_or(0);
+    let limit_is_enough = observed.probe.rtprio_max.is_none_or(|limit| limit >= asked);
+    Ok(limit_is_enough || is_capable(observed, CAP_SYS_NICE)?)
 }
 
-pub(super) fn fifo(scene: &Scene) -> Assessed {
-    let priority = scene.realtime().cycle_priority;
-    let Err(refusal) = &scene.probe.fifo else {
+pub(super) fn fifo(observed: &Observations) -> Assessed {
+    let priority = observed.realtime().cycle_priority;
+    let Err(refusal) = &observed.probe.fifo else {
         return Ok(format!("granted at priority {priority}"));
     };
-    if may_have_priority(scene)? {
-        return problem!(scene.missing(), "refused at priority {priority}, despite the privilege: {refusal}"
+    if may_have_priority(observed)? {
+        return problem!(observed.missing(), "refused at priority {priority}, despite the privilege: {refusal}"
             => "in a systemd unit: RestrictRealtime=no; else see `RT group` below");
     }
-    let limit = scene.probe.rtprio_max.unwrap_or(u64::MAX);
+    let limit = observed.probe.rtprio_max.unwrap_or(u64::MAX);
     let enough = priority.max(RTPRIO);
     let remedy = grant(&format!("rtprio {enough}"), &format!("rtprio={enough}"));
-    problem!(scene.missing(), "refused at priority {priority}: RLIMIT_RTPRIO is {limit}, no CAP_SYS_NICE ({refusal})"
+    problem!(observed.missing(), "refused at priority {priority}: RLIMIT_RTPRIO is {limit}, no CAP_SYS_NICE ({refusal})"
         => "{remedy}")
 }
 
-pub(super) fn pin(scene: &Scene) -> Assessed {
-    let core = scene.core()?;
-    if scene.probe.pinned {
+pub(super) fn pin(observed: &Observations) -> Assessed {
+    let core = observed.core()?;
+    if observed.probe.pinned {
         return Ok(format!("core {core}"));
     }
-    let allowed = scene.system.own_status("Cpus_allowed_list")?;
-    let online = scene.system.online()?;
+    let allowed = observed.system.own_status("Cpus_allowed_list")?;
+    let online = observed.system.online()?;
     if !online.contains(&core) {
-        return problem!(scene.missing(), "core {core} is offline; online are {online}"
+        return problem!(observed.missing(), "core {core} is offline; online are {online}"
             => "set realtime.core to one of {allowed}");
     }
     // An inherited affinity does not prevent pinning; only the cpuset of the control group does.
-    problem!(scene.missing(), "core {core} is refused by the control group; allowed are {allowed}"
+    problem!(observed.missing(), "core {core} is refused by the control group; allowed are {allowed}"
         => "set realtime.core to one of {allowed}, or also give the group core {core} (a unit: AllowedCPUs=, a \
             container: --cpuset-cpus)")
 }
 
-pub(super) fn memory_lock(scene: &Scene) -> Assessed {
-    let limit = scene.probe.memlock_max_bytes;
+pub(super) fn memory_lock(observed: &Observations) -> Assessed {
+    let limit = observed.probe.memlock_max_bytes;
     let megabytes = limit.map(|limit| format!("{:.1} MB", limit as f64 * 1e-6));
     let shown = megabytes.unwrap_or_else(|| "unlimited".to_owned());
-    let value = if let Err(refusal) = &scene.probe.memory_lock {
+    let value = if let Err(refusal) = &observed.probe.memory_lock {
         format!("refused: {refusal}; RLIMIT_MEMLOCK is {shown}")
-    } else if limit.is_none_or(|limit| limit >= LOCKED_BYTES) || is_capable(scene, CAP_IPC_LOCK)? {
+    } else if limit.is_none_or(|limit| limit >= LOCKED_BYTES) || is_capable(observed, CAP_IPC_LOCK)?
+    {
         return Ok("granted".to_owned());
     } else {
         format!("RLIMIT_MEMLOCK is {shown}; a daemon with clients may need 512 MiB")
     };
     let remedy = grant("memlock unlimited", "memlock=-1");
-    problem!(scene.missing(), "{value}" => "{remedy}")
+    problem!(observed.missing(), "{value}" => "{remedy}")
 }

@@ -15,14 +15,14 @@ const WATCHED: Duration = Duration::from_secs(1);
 #[derive(Debug, Clone, Default)]
 pub(super) struct Snapshot {
     cores: CoreTimes,
-    threads: HashMap<u32, Thread>,
+    threads: HashMap<u32, ThreadSample>,
     /// Interrupts on our core.
     interrupts: Vec<Interrupt>,
 }
 
 #[derive(Debug, Clone, Default)]
 #[cfg_attr(test, derive(serde::Serialize, serde::Deserialize), serde(default))]
-pub(super) struct Thread {
+pub(super) struct ThreadSample {
     pub(super) process: u32,
     pub(super) id: u32,
     /// Name without control characters.
@@ -49,7 +49,7 @@ pub(super) struct Thread {
 pub(super) struct Load {
     pub(super) cores: BTreeMap<usize, CoreLoad>,
     /// Threads of other processes, the busiest first.
-    pub(super) threads: Vec<Thread>,
+    pub(super) threads: Vec<ThreadSample>,
     /// Interrupts on our core, the most frequent first.
     pub(super) interrupts: Vec<Interrupt>,
 }
@@ -89,7 +89,7 @@ impl Snapshot {
 }
 
 /// All threads. One that ends meanwhile is omitted.
-fn threads(system: &System) -> HashMap<u32, Thread> {
+fn threads(system: &System) -> HashMap<u32, ThreadSample> {
     let mut threads = HashMap::new();
     for process in system.numbers("/proc") {
         let folder = format!("/proc/{process}/task");
@@ -112,10 +112,10 @@ fn threads(system: &System) -> HashMap<u32, Thread> {
 const PF_KTHREAD: u64 = 0x0020_0000;
 const SCHED_DEADLINE: u64 = 6;
 
-fn thread_of(stat: &str, process: u32, id: u32) -> Option<Thread> {
+fn thread_of(stat: &str, process: u32, id: u32) -> Option<ThreadSample> {
     let (_, name) = stat.rsplit_once(')')?.0.split_once('(')?;
     let number = |field| stat_field::<u64>(stat.as_bytes(), field);
-    Some(Thread {
+    Some(ThreadSample {
         process,
         id,
         name: printable(name),
@@ -129,7 +129,7 @@ fn thread_of(stat: &str, process: u32, id: u32) -> Option<Thread> {
     })
 }
 
-impl Thread {
+impl ThreadSample {
     pub(super) fn is_realtime(&self) -> bool {
         self.is_deadline || self.priority > 0
     }
@@ -187,7 +187,7 @@ impl Load {
     ) -> Self {
         let cores = core_loads(&before.cores, &after.cores);
         let total = cores.get(&core).map_or(0, |load| load.ticks);
-        let mut threads: Vec<Thread> = after.threads.into_values().collect();
+        let mut threads: Vec<ThreadSample> = after.threads.into_values().collect();
         threads.retain(|thread| !ours.contains(&thread.process));
         for thread in &mut threads {
             let earlier = before.threads.get(&thread.id).map_or(0, |old| old.ticks);

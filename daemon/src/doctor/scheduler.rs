@@ -5,7 +5,7 @@ use cdcr_shared_types::proc_stat::chosen;
 use super::Severity::{Unknown, Warning};
 use super::finding::{Assessed, problem, warn_unless};
 use super::privileges::may_have_priority;
-use super::{Reading, Scene};
+use super::{Observations, Reading};
 use crate::core_budget::{CoreBudget, Costs};
 use crate::system::RT_RUNTIME_US;
 
@@ -13,15 +13,15 @@ use crate::system::RT_RUNTIME_US;
 /// tick are good enough.
 pub(super) const PERIOD_MS_FINE: f64 = 1.0;
 
-pub(super) fn preemption(scene: &Scene) -> Assessed {
-    let system = &scene.system;
+pub(super) fn preemption(observed: &Observations) -> Assessed {
+    let system = &observed.system;
     let version = system.read("/proc/sys/kernel/version")?;
     let flag = system.read_if_there("/sys/kernel/realtime")?;
     let has = |word| version.contains(word);
     let (model, value) = if has("PREEMPT_RT") || flag.as_deref() == Some("1") {
         return Ok("PREEMPT_RT".to_owned());
     } else if has("PREEMPT_DYNAMIC") {
-        let Some((model, since)) = dynamic_preemption(scene)? else {
+        let Some((model, since)) = dynamic_preemption(observed)? else {
             return problem!(Unknown, "dynamic, cannot read the current model"
                 => "sudo mount -t debugfs none /sys/kernel/debug; sudo cat /sys/kernel/debug/sched/preempt");
         };
@@ -32,7 +32,7 @@ pub(super) fn preemption(scene: &Scene) -> Assessed {
         let value = "none or voluntary, fixed when the kernel was built";
         ("none".to_owned(), value.to_owned())
     };
-    let period_ms = scene.period_ms();
+    let period_ms = observed.period_ms();
     // The lazy model delays ordinary threads only.
     match &*model {
         "full" | "lazy" if period_ms >= PERIOD_MS_FINE => Ok(value),
@@ -45,22 +45,22 @@ pub(super) fn preemption(scene: &Scene) -> Assessed {
 }
 
 /// The model that was chosen at run time (its file is readable for root only), or at boot.
-fn dynamic_preemption(scene: &Scene) -> Reading<Option<(String, &'static str)>> {
-    let text = scene.system.read("/sys/kernel/debug/sched/preempt");
+fn dynamic_preemption(observed: &Observations) -> Reading<Option<(String, &'static str)>> {
+    let text = observed.system.read("/sys/kernel/debug/sched/preempt");
     if let Some(model) = chosen(&text.unwrap_or_default(), ['(', ')']) {
         return Ok(Some((model.to_owned(), "")));
     }
-    let at_boot = scene.system.boot_option("preempt")?;
+    let at_boot = observed.system.boot_option("preempt")?;
     Ok(at_boot.map(|model| (model, " at boot")))
 }
 
-pub(super) fn rt_throttling(scene: &Scene) -> Assessed {
-    let share = scene.system.kernel_share()?;
-    if scene.system.number(RT_RUNTIME_US)? < 0 {
+pub(super) fn rt_throttling(observed: &Observations) -> Assessed {
+    let share = observed.system.kernel_share()?;
+    if observed.system.number(RT_RUNTIME_US)? < 0 {
         return problem!(Warning, "off: a hung loop blocks the core"
             => "sudo sysctl kernel.sched_rt_runtime_us=950000");
     }
-    let usual = CoreBudget::new(&scene.validated.config);
+    let usual = CoreBudget::new(&observed.validated.config);
     let budget = usual.with_kernel_share(share);
     let costs = Costs::default();
     let value = format!(
@@ -78,13 +78,15 @@ pub(super) fn rt_throttling(scene: &Scene) -> Assessed {
     )
 }
 
-pub(super) fn rt_group(scene: &Scene) -> Assessed {
-    match group_runtime_us(scene)? {
-        Some((file, 0)) => problem!(scene.missing(), "this control group has no real-time runtime"
-            => "echo 950000 | sudo tee {file}   (and first in the groups above it)"),
+pub(super) fn rt_group(observed: &Observations) -> Assessed {
+    match group_runtime_us(observed)? {
+        Some((file, 0)) => {
+            problem!(observed.missing(), "this control group has no real-time runtime"
+            => "echo 950000 | sudo tee {file}   (and first in the groups above it)")
+        }
         Some((_, runtime_us)) => Ok(format!("{runtime_us} µs")),
-        None if scene.probe.fifo.is_err() && may_have_priority(scene)? => {
-            problem!(scene.missing(), "SCHED_FIFO is refused despite the privilege: probably CONFIG_RT_GROUP_SCHED"
+        None if observed.probe.fifo.is_err() && may_have_priority(observed)? => {
+            problem!(observed.missing(), "SCHED_FIFO is refused despite the privilege: probably CONFIG_RT_GROUP_SCHED"
             => "boot with rt_group_sched=0, or start cdcrd in the root control group")
         }
         None => Ok("no limit of a group".to_owned()),
@@ -93,8 +95,8 @@ pub(super) fn rt_group(scene: &Scene) -> Assessed {
 
 /// File and real-time runtime of this process's control group, if the kernel has version 1 of control groups
 /// with real-time groups.
-fn group_runtime_us(scene: &Scene) -> Reading<Option<(String, i64)>> {
-    let system = &scene.system;
+fn group_runtime_us(observed: &Observations) -> Reading<Option<(String, i64)>> {
+    let system = &observed.system;
     let has_cpu = |list: &str| list.split(',').any(|name| name == "cpu");
     // Lines `1:cpu,cpuacct:/group`.
     let groups = system.read("/proc/self/cgroup")?;
@@ -132,9 +134,9 @@ vm.compact_unevictable_allowed | 0 | always | moves locked pages; a thread that 
 kernel.nmi_watchdog | 0 | fine | interrupts every core, whatever its priority
 vm.stat_interval | 10 | fine | updates counters on every core at this interval (s)";
 
-pub(super) fn sysctls(scene: &Scene) -> Assessed {
-    let has_no_tick = scene.has_no_tick()?;
-    let is_fine = has_no_tick || scene.period_ms() < PERIOD_MS_FINE;
+pub(super) fn sysctls(observed: &Observations) -> Assessed {
+    let has_no_tick = observed.has_no_tick()?;
+    let is_fine = has_no_tick || observed.period_ms() < PERIOD_MS_FINE;
     let (mut values, mut settings) = (Vec::new(), Vec::new());
     for setting in SETTINGS.lines() {
         let parts: Vec<&str> = setting.split(" | ").collect();
@@ -144,10 +146,10 @@ pub(super) fn sysctls(scene: &Scene) -> Assessed {
         let is_meant = matters == "always" || (matters == "fine" && is_fine) || has_no_tick;
         let path = format!("/proc/sys/{}", name.replace('.', "/"));
         // A kernel without the feature has no file.
-        if !is_meant || scene.system.read_if_there(&path)?.is_none() {
+        if !is_meant || observed.system.read_if_there(&path)?.is_none() {
             continue;
         }
-        let value = scene.system.number(&path)?;
+        let value = observed.system.number(&path)?;
         let limit: i64 = good.parse().unwrap_or(0);
         if value != limit && (limit == 0 || value < limit) {
             values.push(format!("{name} = {value}: {does}"));

@@ -14,11 +14,11 @@ use crate::config::Config;
 use crate::system::choose;
 use crate::system::tests::Files;
 
-/// A scene over a folder that replaces the system's files.
+/// A observed over a folder that replaces the system's files.
 pub(super) struct Machine {
     pub(super) files: Files,
     /// All trials succeed, core 1 is idle, real time is preferred.
-    pub(super) scene: Scene,
+    pub(super) observed: Observations,
     before: Snapshot,
 }
 
@@ -43,7 +43,7 @@ impl Machine {
             root_in_memory: Ok(true),
             user_id: rustix::process::geteuid().as_raw(),
         };
-        let scene = Scene {
+        let observed = Observations {
             system: files.system.clone(),
             validated: config.check().unwrap(),
             probe,
@@ -51,7 +51,7 @@ impl Machine {
         };
         Self {
             files,
-            scene,
+            observed,
             before: Snapshot::default(),
         }
     }
@@ -59,7 +59,7 @@ impl Machine {
     /// The finding of the check with this key.
     pub(super) fn finding(&self, key: &str) -> Finding {
         let check = CHECKS.iter().find(|check| check.key == key);
-        check.expect("a known key").finding(&self.scene)
+        check.expect("a known key").finding(&self.observed)
     }
 
     /// Executes one line of `findings.txt`.
@@ -72,31 +72,33 @@ impl Machine {
             }
             Some(mode) if name == "mode" => {
                 let mode = Permissions::from_mode(u32::from_str_radix(mode, 8).unwrap());
-                set_permissions(self.scene.system.path("/run/cdcr"), mode).unwrap();
+                set_permissions(self.observed.system.path("/run/cdcr"), mode).unwrap();
             }
             Some(value) => self.set(name, serde_json::from_str(value).unwrap()),
             None if name == "choice" => self.expect_choice(rest),
-            None if name == "count" => self.before = Snapshot::take(&self.scene.system, 1).unwrap(),
+            None if name == "count" => {
+                self.before = Snapshot::take(&self.observed.system, 1).unwrap();
+            }
             None if name == "watch" => self.watch(rest.parse().unwrap()),
             None => self.expect(name, rest),
         }
     }
 
-    /// Sets a field of the scene.
+    /// Sets a field of the observed.
     fn set(&mut self, name: &str, value: Value) {
-        let scene = &mut self.scene;
+        let observed = &mut self.observed;
         match name.split_once('.').unwrap() {
-            ("probe", field) => set(&mut scene.probe, field, value),
-            ("load", field) => set(scene.load.as_mut().unwrap(), field, value),
-            _ => set(&mut scene.validated.config, name, value),
+            ("probe", field) => set(&mut observed.probe, field, value),
+            ("load", field) => set(observed.load.as_mut().unwrap(), field, value),
+            _ => set(&mut observed.validated.config, name, value),
         }
     }
 
     /// Sets the load to the difference between the counters now and before.
     fn watch(&mut self, seconds: f64) {
-        let after = Snapshot::take(&self.scene.system, 1);
+        let after = Snapshot::take(&self.observed.system, 1);
         let load = after.map(|after| Load::between(&self.before, after, 1, seconds, &[53]));
-        self.scene.load = load;
+        self.observed.load = load;
     }
 
     fn expect_choice(&self, words: &str) {
@@ -104,7 +106,7 @@ impl Machine {
         let ours = option.strip_prefix("ours=").map(|id| id.parse().unwrap());
         let refused = CoreSet::parse(option.strip_prefix("refused=").unwrap_or_default());
         let chosen = choose(
-            &self.scene.system,
+            &self.observed.system,
             ours,
             |core| !refused.contains(&core),
             || (),
@@ -120,7 +122,7 @@ impl Machine {
         if severities.contains('/') {
             use RealtimeMode::{Off, Prefer, Require};
             let in_mode = |mode| {
-                self.scene.validated.config.realtime.mode = mode;
+                self.observed.validated.config.realtime.mode = mode;
                 self.finding(key).severity.word()
             };
             found = [Require, Off, Prefer].map(in_mode).join("/");
@@ -175,9 +177,9 @@ fn every_check_has_a_name_of_its_own_and_a_reason() {
 #[test]
 fn a_system_that_shows_nothing_is_unknown_and_not_good() {
     let mut machine = Machine::new(&[]);
-    machine.scene.load = Err(unreadable("/proc/stat", "gone"));
-    machine.scene.probe.fifo = Err("no".to_owned());
-    let report = machine.scene.report();
+    machine.observed.load = Err(unreadable("/proc/stat", "gone"));
+    machine.observed.probe.fifo = Err("no".to_owned());
+    let report = machine.observed.report();
     assert!(report.count(Severity::Unknown) > 5, "{report:#?}");
     assert!(report.worst >= Severity::Warning);
     let unknown = report.findings.iter().find(|f| f.key == "steal");
@@ -187,13 +189,13 @@ fn a_system_that_shows_nothing_is_unknown_and_not_good() {
 #[test]
 fn nothing_of_real_time_is_bad_where_none_is_asked_for_and_what_is_ok_needs_no_remedy() {
     let mut machine = Machine::new(&[]);
-    for finding in machine.scene.report().findings {
+    for finding in machine.observed.report().findings {
         let is_ok = finding.severity == Severity::Ok;
         assert_eq!(is_ok, finding.remedy == "nothing to do", "{finding:?}");
     }
-    machine.scene.validated.config.realtime.mode = RealtimeMode::Off;
-    machine.scene.probe.fifo = Err("no".to_owned());
-    machine.scene.probe.memory_lock = Err("no".to_owned());
-    let report = machine.scene.report();
+    machine.observed.validated.config.realtime.mode = RealtimeMode::Off;
+    machine.observed.probe.fifo = Err("no".to_owned());
+    machine.observed.probe.memory_lock = Err("no".to_owned());
+    let report = machine.observed.report();
     assert_eq!(report.worst, Severity::Ok, "{report:#?}");
 }

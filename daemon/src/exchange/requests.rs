@@ -190,7 +190,7 @@ impl Exchange {
                 Outcome::PoseDiffers => Some(record.following.largest()),
                 _ => None,
             };
-            // Smaller where the daemon before this one left the pose in doubt.
+            // Smaller where the daemon before this one left the pose uncertain.
             let (pose_section, pose_difference_rad) = largest
                 .filter(|(_, rad)| *rad > POSE_DIFFERS_RAD)
                 .unwrap_or_default();

@@ -59,7 +59,7 @@ pub struct SupervisorEnds {
 
 /// Ends of the thread that publishes status and incidents.
 #[derive(Debug)]
-pub struct StatusDeskEnds {
+pub struct StatusThreadEnds {
     pub incidents: Consumer<Incident>,
     pub status: Output<Status>,
 }
@@ -72,7 +72,7 @@ pub struct Channels {
     pub reporter: ReporterEnds,
     pub supervisor: SupervisorEnds,
     /// For the thread that publishes status and incidents.
-    pub status_desk: StatusDeskEnds,
+    pub status_thread: StatusThreadEnds,
     /// For the code that reloads the configuration.
     pub reloaded: Producer<ChangedSettings>,
 }
@@ -120,7 +120,7 @@ pub fn channels(settings: RuntimeSettings) -> Channels {
         exchange,
         reporter,
         supervisor,
-        status_desk: StatusDeskEnds {
+        status_thread: StatusThreadEnds {
             incidents: explained_out,
             status: status_out,
         },

@@ -25,7 +25,7 @@ mod tip_rejection;
 
 pub use channels::{
     Channels, CycleEnds, ExchangeEnds, REQUESTS_PER_CYCLE, REQUESTS_WAITING, ReporterEnds,
-    StatusDeskEnds, SupervisorEnds, channels,
+    StatusThreadEnds, SupervisorEnds, channels,
 };
 pub use fault_place::FaultPlace;
 pub use inputs::{CycleAnswer, CycleInputs, CycleRequest, TimedMeasurement};

@@ -2,7 +2,7 @@
 //!
 //! Invariant: nothing here delays the cycle. The supervisor runs on another core, if there is one, below all
 //! other real-time threads. It receives the cycles through rings that never block the sender. It waits for no
-//! file: the `status_desk` publishes its results.
+//! file: the `status_thread` publishes its results.
 
 mod refusals;
 mod snapshot;
@@ -23,7 +23,7 @@ use crate::exit::{Ended, ExitCause};
 use crate::handover::{Shared, Summary, SupervisorEnds};
 use crate::rt::clock::Clock;
 use crate::service_manager::{ServiceManager, StatusLine};
-use crate::status_desk::StatusDesk;
+use crate::status_thread::StatusThread;
 use refusals::{Refusals, newest_refusal};
 use statistics::Statistics;
 use steal::{Steal, Stolen};
@@ -137,7 +137,7 @@ impl Supervisor {
         &mut self,
         clock: &impl Clock,
         shared: &Shared,
-        desk: &StatusDesk,
+        desk: &StatusThread,
         mut should_end: impl FnMut() -> bool,
         mut is_over: impl FnMut() -> bool,
     ) -> Result<(), Ended> {
@@ -205,7 +205,7 @@ impl Supervisor {
     ///
     /// The reporter sends an incident before its summary. An incident without its summary waits for the next
     /// check, so that both are evaluated with the same reading of the steal.
-    fn take_incidents(&mut self, clock: &impl Clock, desk: &StatusDesk) {
+    fn take_incidents(&mut self, clock: &impl Clock, desk: &StatusThread) {
         while !self.ends.explained.is_full()
             && let Ok(next) = self.ends.incidents.peek()
             && next.telemetry.cycle <= self.newest.cycle
@@ -405,7 +405,7 @@ fn has_changed_mode(summary: &Summary, before: &Summary) -> bool {
     (summary.mode, summary.reason) != (before.mode, before.reason)
 }
 
-/// Section and distance; only the previous daemon knew them where it left the pose in doubt.
+/// Section and distance; only the previous daemon knew them where it left the pose uncertain.
 fn accepted_pose(following: &FollowingError) -> String {
     match following.largest() {
         (section, rad) if rad > POSE_DIFFERS_RAD => format!(": section {section} by {rad:.2} rad"),

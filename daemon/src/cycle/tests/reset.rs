@@ -221,12 +221,12 @@ fn a_droop_that_is_no_fault_needs_no_word_at_a_reset() {
 
 /// The daemon before this one saw another pose, and this one does not know where the last command led.
 #[test]
-fn a_pose_in_doubt_is_accepted_once() {
+fn an_uncertain_pose_is_accepted_once() {
     let mut trial = Trial::new(Interface::Position);
     trial.cycle = trial
         .cycle
         .stopped_before(Reason::StoppedBefore)
-        .doubting_pose(true);
+        .uncertain_pose(true);
     trial.turns(3);
     let refused = outcome(&mut trial, Request::Reset);
     assert_eq!(refused, Err(Refusal::PoseDiffers));

@@ -205,7 +205,7 @@ fn a_zero_that_a_tip_sensor_contradicts_is_accepted_by_no_reset() {
 
 /// The daemon is started again, too: the next one does not know where the last command led, and asks all the same.
 #[test]
-fn a_pose_in_doubt_is_in_doubt_for_the_next_daemon() {
+fn an_uncertain_pose_is_uncertain_for_the_next_daemon() {
     behind_both(|interface| {
         let mut daemon = daemon(interface);
         let differs = |connection: &Connection| {

@@ -16,7 +16,7 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::Node;
 
 use crate::config::Validated;
-use crate::handover::{Shared, StatusDeskEnds};
+use crate::handover::{Shared, StatusThreadEnds};
 use crate::services::{ServiceError, incidents, node, publisher};
 
 /// Time between checks for new readers of the incidents, unless woken: they receive earlier incidents.
@@ -30,17 +30,17 @@ const STACK_BYTES: usize = 1024 * 1024;
 
 /// Handle of the thread; dropping it ends the thread.
 #[derive(Debug)]
-pub struct StatusDesk {
+pub struct StatusThread {
     shared: Arc<Shared>,
     thread: JoinHandle<()>,
 }
 
-impl StatusDesk {
+impl StatusThread {
     /// Starts the thread with the priority and the cores of the calling thread, and waits until its services
     /// exist.
     pub(crate) fn start(
         validated: &Validated,
-        ends: StatusDeskEnds,
+        ends: StatusThreadEnds,
         shared: &Arc<Shared>,
     ) -> Result<Self> {
         let (ready, is_ready) = channel();
@@ -72,7 +72,7 @@ impl StatusDesk {
     }
 }
 
-impl Drop for StatusDesk {
+impl Drop for StatusThread {
     fn drop(&mut self) {
         self.shared.supervisor_ended.set(true);
         self.wake();
@@ -91,14 +91,14 @@ impl Drop for StatusDesk {
 struct Desk {
     statuses: Publisher<ipc::Service, Status, ()>,
     incidents: Publisher<ipc::Service, Incident, ()>,
-    ends: StatusDeskEnds,
+    ends: StatusThreadEnds,
     /// Number of status messages sent.
     sent: u64,
     _node: Node<ipc::Service>,
 }
 
 impl Desk {
-    fn new(validated: &Validated, ends: StatusDeskEnds) -> Result<Self, ServiceError> {
+    fn new(validated: &Validated, ends: StatusThreadEnds) -> Result<Self, ServiceError> {
         let (node, robot) = (node(&validated.location)?, &validated.config.robot.name);
         Ok(Self {
             statuses: publisher(&node, Service::Status, robot)?,
@@ -161,7 +161,7 @@ mod tests {
         let validated = Config::parse(&text, &folder.path().join("robot.toml")).unwrap();
         let ends = channels(RuntimeSettings::new(&validated.config));
         let mut supervisor = ends.supervisor;
-        let mut desk = Desk::new(&validated, ends.status_desk).unwrap();
+        let mut desk = Desk::new(&validated, ends.status_thread).unwrap();
         let name = Service::Status.name(&validated.config.robot.name).unwrap();
         let service = node(&validated.location).unwrap().service_builder(&name);
         let service = service.publish_subscribe::<Status>().open().unwrap();
