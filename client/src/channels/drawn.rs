@@ -8,7 +8,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::OrientationKind;
 
 use super::happening::happenings;
-use super::scene::Scene;
+use super::scene::DrawnScene;
 use super::topic::TYPE_HASH;
 
 /// Rate of the drawn pictures \[Hz\].
@@ -79,7 +79,7 @@ pub struct Drawing {
 pub struct Drawings {
     robot: String,
     unix_minus_monotonic_ns: u64,
-    scene: Option<Scene>,
+    scene: Option<DrawnScene>,
     before: Option<Box<Telemetry>>,
 }
 
@@ -102,7 +102,7 @@ impl Drawings {
         let before = self.before.take();
         let before = before.filter(|before| before.header.sender_id == record.header.sender_id);
         if before.is_none() {
-            self.scene = Scene::from_record(record);
+            self.scene = DrawnScene::from_record(record);
         }
         let mut drawings = self.log(record, before.as_deref())?;
         let picture = |record: &Telemetry| {

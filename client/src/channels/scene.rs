@@ -40,7 +40,7 @@ const fn color(r: f32, g: f32, b: f32, a: f32) -> ColorRgba {
 
 /// Drawing of the robot, with the paths of tip and reference over the last seconds.
 #[derive(Debug)]
-pub(super) struct Scene {
+pub(super) struct DrawnScene {
     robot: Robot,
     length_m: f64,
     tip_path: VecDeque<[f64; 3]>,
@@ -48,7 +48,7 @@ pub(super) struct Scene {
     path_ns: u64,
 }
 
-impl Scene {
+impl DrawnScene {
     /// For the robot of a record; `None` when its description is invalid.
     pub(super) fn from_record(record: &Telemetry) -> Option<Self> {
         Some(Self {

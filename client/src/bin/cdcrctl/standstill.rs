@@ -18,11 +18,11 @@ const LEAST: usize = 8;
 pub(crate) struct Standstill {
     /// The first cycle with the command rest, and its release \[ns\].
     commanded: Option<(u64, u64)>,
-    samples: VecDeque<Sample>,
+    samples: VecDeque<BendSample>,
 }
 
 #[derive(Debug)]
-struct Sample {
+struct BendSample {
     measured_ns: u64,
     bend_rad: [f64; COORDINATES_MAX],
 }
@@ -39,11 +39,11 @@ impl Standstill {
             return;
         }
         let bend_rad = record.present_rad;
-        self.samples.push_back(Sample {
+        self.samples.push_back(BendSample {
             measured_ns,
             bend_rad,
         });
-        let is_enough = |second: &Sample| measured_ns - second.measured_ns >= WINDOW_NS;
+        let is_enough = |second: &BendSample| measured_ns - second.measured_ns >= WINDOW_NS;
         while self.samples.len() > LEAST && self.samples.get(1).is_some_and(is_enough) {
             self.samples.pop_front();
         }
@@ -66,7 +66,7 @@ impl Standstill {
             self.samples.len() >= LEAST && last.measured_ns - first.measured_ns >= WINDOW_NS;
         is_whole.then(|| {
             let half = self.samples.len() / 2;
-            let mean = |of: &dyn Fn(&Sample) -> f64, earlier: bool| {
+            let mean = |of: &dyn Fn(&BendSample) -> f64, earlier: bool| {
                 let (skip, take) = if earlier {
                     (0, half)
                 } else {
@@ -76,7 +76,7 @@ impl Standstill {
                 let count = values.len();
                 values.sum::<f64>() / count as f64
             };
-            let moved = |of: &dyn Fn(&Sample) -> f64| mean(of, false) - mean(of, true);
+            let moved = |of: &dyn Fn(&BendSample) -> f64| mean(of, false) - mean(of, true);
             let passed_s = moved(&|sample| (sample.measured_ns - first.measured_ns) as f64 * 1e-9);
             let rates = (0..COORDINATES_MAX)
                 .map(|i| (moved(&|sample| sample.bend_rad[i]) / passed_s).abs());

@@ -17,7 +17,7 @@ use crate::files::new_file;
 use crate::interrupt::Interrupt;
 
 /// Column name and value; an empty value means none.
-type Cell = (String, String);
+type NamedValue = (String, String);
 
 pub(crate) fn run(options: &ConvertOptions) -> anyhow::Result<Done> {
     let is_new = !options.csv.exists();
@@ -132,10 +132,10 @@ impl<'a> Tables<'a> {
     fn put_each<T: Struct + Default>(
         &mut self,
         name: &'static str,
-        whole: &[Cell],
+        whole: &[NamedValue],
         parts: &[T],
     ) -> anyhow::Result<()> {
-        let row = |part: Vec<Cell>| [whole, &part].concat();
+        let row = |part: Vec<NamedValue>| [whole, &part].concat();
         if parts.is_empty() {
             let mut empty = cells(&T::default());
             for (_, value) in &mut empty {
@@ -148,7 +148,7 @@ impl<'a> Tables<'a> {
             .try_for_each(|part| self.put(name, &row(cells(part))))
     }
 
-    fn put(&mut self, name: &'static str, row: &[Cell]) -> anyhow::Result<()> {
+    fn put(&mut self, name: &'static str, row: &[NamedValue]) -> anyhow::Result<()> {
         let table = match self.open.entry(name) {
             Entry::Occupied(table) => table.into_mut(),
             Entry::Vacant(free) => {
@@ -184,7 +184,7 @@ impl<'a> Tables<'a> {
 
 /// A message as one row: `command.mode`, `bend_rad[2]`. Lists of variable length (plans, events, obstacles,
 /// points) are omitted, so that each row has the same cells.
-fn cells(message: &dyn Struct) -> Vec<Cell> {
+fn cells(message: &dyn Struct) -> Vec<NamedValue> {
     let mut paths = ["robot.sections", "telemetry.robot.sections"].iter();
     let sections = paths.find_map(|path| message.number(path));
     let mut row = Vec::new();
@@ -197,7 +197,7 @@ fn add(
     before: &str,
     has_meaning: bool,
     sections: usize,
-    row: &mut Vec<Cell>,
+    row: &mut Vec<NamedValue>,
 ) {
     message.visit(&mut |field, value| {
         let used = message.used(field);
@@ -234,7 +234,7 @@ fn put(
     name: String,
     has_meaning: bool,
     sections: usize,
-    row: &mut Vec<Cell>,
+    row: &mut Vec<NamedValue>,
 ) {
     let text = match (field.meaning, value) {
         (_, Value::Struct(part)) => {
@@ -268,9 +268,9 @@ mod tests {
         record.measurement.sections = 2;
         record.measurement.kind = MeasurementKind::CableLengths.code();
         let after = cells(&record);
-        let name = |(name, _): &Cell| name.clone();
+        let name = |(name, _): &NamedValue| name.clone();
         assert!(before.iter().map(name).eq(after.iter().map(name)));
-        let cable = |row: &[Cell]| {
+        let cable = |row: &[NamedValue]| {
             let cable = row
                 .iter()
                 .find(|cell| cell.0 == "measurement.cable_length_m[5]");

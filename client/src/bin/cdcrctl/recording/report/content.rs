@@ -39,8 +39,8 @@ struct Cycles {
     last_ns: u64,
     count: u64,
     robot: Robot,
-    samples: Columns<Sample>,
-    scenes: Columns<Scene>,
+    samples: Columns<ColumnSample>,
+    scenes: Columns<ColumnScene>,
     modes: BTreeMap<u32, u64>,
     misses: BTreeMap<u32, u64>,
     late_starts: u64,
@@ -57,7 +57,7 @@ struct Cycles {
 }
 
 #[derive(Debug)]
-struct Sample {
+struct ColumnSample {
     /// Time of its first cycle.
     time_s: f64,
     mode: u32,
@@ -69,7 +69,7 @@ struct Sample {
     misses: u32,
 }
 
-impl Merge for Sample {
+impl Merge for ColumnSample {
     fn merge(&mut self, later: Self) {
         for (mine, its) in self.extremes.iter_mut().zip(later.extremes) {
             *mine = [mine[0].min(its[0]), mine[1].max(its[1])];
@@ -80,12 +80,12 @@ impl Merge for Sample {
 
 /// The obstacles in the first cycle of a column.
 #[derive(Debug)]
-struct Scene {
+struct ColumnScene {
     time_s: f64,
     obstacles: Vec<Obstacle>,
 }
 
-impl Merge for Scene {
+impl Merge for ColumnScene {
     fn merge(&mut self, _: Self) {}
 }
 
@@ -170,7 +170,7 @@ impl Cycles {
         }
         self.take_timing(record, time_s);
         let series = self.series(record);
-        let sample = Sample {
+        let sample = ColumnSample {
             time_s,
             mode: record.mode,
             bend_rad: record.present_rad,
@@ -186,7 +186,7 @@ impl Cycles {
         self.samples.take(record.release_ns, sample);
         let obstacles = obstacles(record).to_vec();
         self.scenes
-            .take(record.release_ns, Scene { time_s, obstacles });
+            .take(record.release_ns, ColumnScene { time_s, obstacles });
     }
 
     fn take_timing(&mut self, record: &Telemetry, time_s: f64) {
@@ -320,7 +320,7 @@ impl Cycles {
     /// The columns, as one list per quantity.
     fn curves(&self) -> Value {
         let coordinates = self.robot.coordinate_count();
-        let all = |value: &dyn Fn(&Sample) -> Value| -> Value {
+        let all = |value: &dyn Fn(&ColumnSample) -> Value| -> Value {
             self.samples.iter().map(value).collect()
         };
         let names = self.series(&self.first).into_iter().map(|(name, _)| name);
