@@ -10,7 +10,7 @@ use cdcr_shared_types::{
 use crate::connect_error::{Place, no_status, retry};
 use crate::outlet::Outlet;
 use crate::request::Control;
-use crate::sender::Sender;
+use crate::sender::MessageSender;
 use crate::services::{Services, check_clock, check_owner};
 use crate::status_reader::{STATUS_FRESH, StatusReader};
 use crate::{
@@ -38,7 +38,7 @@ pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_secs(1);
 pub struct Connection {
     place: Place,
     services: Services,
-    sender: Sender,
+    sender: MessageSender,
     control: Control,
     status: RefCell<StatusReader>,
     /// Number of the newest lease; incremented when a lease begins or is given back.
@@ -62,7 +62,7 @@ impl Connection {
             place: place.clone(),
             cause,
         };
-        let sender = Sender::new();
+        let sender = MessageSender::new();
         let control = Control::new(services.control.clone(), sender.clone(), place.clone());
         let stream = Stream::open(&services.status).map_err(|cause| memory(cause.to_string()))?;
         let connection = Self {

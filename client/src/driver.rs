@@ -15,7 +15,7 @@ use cdcr_shared_types::{Command, Header, Location, Measurement, RobotDescription
 
 use crate::connect_error::{Place, no_status, retry};
 use crate::outlet::Outlet;
-use crate::sender::Sender;
+use crate::sender::MessageSender;
 use crate::services::{Channel, DriverServices, check_clock, check_owner};
 use crate::status_reader::{STATUS_FRESH, StatusReader};
 use crate::stream::Stream;
@@ -115,7 +115,13 @@ impl Driver {
             command,
             ..
         } = &services;
-        let driver = Self::open(measurement, command, Sender::new(), &robot, interface)?;
+        let driver = Self::open(
+            measurement,
+            command,
+            MessageSender::new(),
+            &robot,
+            interface,
+        )?;
         Ok(driver)
     }
 
@@ -138,7 +144,7 @@ impl Driver {
     pub(crate) fn open(
         measurement: &Channel<Measurement>,
         command: &Channel<Command>,
-        sender: Sender,
+        sender: MessageSender,
         robot: &RobotDescription,
         interface: Interface,
     ) -> Result<Self, LinkError> {

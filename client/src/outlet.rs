@@ -2,7 +2,7 @@ use cdcr_shared_types::{Header, ipc};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::BackpressureStrategy;
 
-use crate::sender::Sender;
+use crate::sender::MessageSender;
 use crate::services::Channel;
 use crate::{LinkError, Message};
 
@@ -12,11 +12,11 @@ use crate::{LinkError, Message};
 #[derive(Debug)]
 pub(crate) struct Outlet<T: Message> {
     publisher: Publisher<ipc::Service, T, ()>,
-    sender: Sender,
+    sender: MessageSender,
 }
 
 impl<T: Message> Outlet<T> {
-    pub(crate) fn open(service: &Channel<T>, sender: Sender) -> Result<Self, LinkError> {
+    pub(crate) fn open(service: &Channel<T>, sender: MessageSender) -> Result<Self, LinkError> {
         let queues = T::SERVICE.queues();
         let bytes = queues.writer_bytes(size_of::<T>());
         let publisher = service.make_port(

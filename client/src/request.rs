@@ -13,7 +13,7 @@ use iceoryx2::service::port_factory::PortFactory;
 use crate::connect_error::Place;
 use crate::link_error::{LinkError, Liveness};
 use crate::remedy::{refusal, request_remedy};
-use crate::sender::Sender;
+use crate::sender::MessageSender;
 use crate::services::ControlChannel;
 
 /// Interval at which a waiting client checks for the answer.
@@ -151,7 +151,7 @@ type Port = Client<ipc::Service, Request, (), Response, ()>;
 pub(crate) struct Control {
     channel: ControlChannel,
     port: OnceCell<Port>,
-    sender: Sender,
+    sender: MessageSender,
     place: Place,
     /// Maximum number of requesting clients, this one included.
     clients_max: usize,
@@ -159,7 +159,7 @@ pub(crate) struct Control {
 
 impl Control {
     /// For all requests but a stop: leaves the ports free that are reserved for stops.
-    pub(crate) fn new(channel: ControlChannel, sender: Sender, place: Place) -> Self {
+    pub(crate) fn new(channel: ControlChannel, sender: MessageSender, place: Place) -> Self {
         Self {
             channel,
             port: OnceCell::new(),

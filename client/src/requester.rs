@@ -6,7 +6,7 @@ use cdcr_shared_types::{Location, Request, Response, Service};
 
 use crate::connect_error::{Place, not_reached};
 use crate::request::{Control, POLL_INTERVAL};
-use crate::sender::Sender;
+use crate::sender::MessageSender;
 use crate::services::{ControlChannel, DEAD_NODES, check_clock, check_owner, open_control};
 use crate::{ConnectError, LinkError, RequestError};
 
@@ -76,7 +76,7 @@ impl Requester {
         }
         let channel = open_when_free(location, &place, deadline)?;
         Ok(Self {
-            control: Control::new(channel, Sender::new(), place),
+            control: Control::new(channel, MessageSender::new(), place),
             location: location.clone(),
         })
     }

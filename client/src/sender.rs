@@ -10,12 +10,12 @@ use crate::monotonic_ns;
 ///
 /// Clones share the sequence numbers, so that two ports of one connection never send the same one.
 #[derive(Debug, Clone)]
-pub(crate) struct Sender {
+pub(crate) struct MessageSender {
     id: u64,
     sequences: Arc<[AtomicU64; Service::ALL.len()]>,
 }
 
-impl Sender {
+impl MessageSender {
     /// A new sender. Its identity collides with another one with a probability of 2⁻⁶⁴.
     pub(crate) fn new() -> Self {
         Self {
@@ -45,9 +45,9 @@ mod tests {
 
     #[test]
     fn each_service_counts_for_itself_and_clones_count_together() {
-        let sender = Sender::new();
+        let sender = MessageSender::new();
         assert_ne!(sender.id(), 0);
-        assert_ne!(sender.id(), Sender::new().id());
+        assert_ne!(sender.id(), MessageSender::new().id());
         assert_eq!(sender.next_header(Service::Control).sequence, 1);
         assert_eq!(sender.clone().next_header(Service::Control).sequence, 2);
         assert_eq!(sender.next_header(Service::Reference).sequence, 1);

@@ -3,7 +3,7 @@ use cdcr_shared_types::{Header, Measurement, Status};
 
 use crate::LinkError;
 use crate::outlet::Outlet;
-use crate::sender::Sender;
+use crate::sender::MessageSender;
 use crate::services::Channel;
 
 /// The port of a process beside the driver that measures the tip only, for example a camera.
@@ -21,7 +21,7 @@ pub struct TipSensor {
 impl TipSensor {
     pub(crate) fn open(
         channel: &Channel<Measurement>,
-        sender: Sender,
+        sender: MessageSender,
         status: &Status,
     ) -> Result<Self, LinkError> {
         Ok(Self {
