@@ -38,11 +38,11 @@ const LATENCY_HELP: &str = "Example: cdcr-bench latency --rounds 5 --out latency
 )]
 pub(crate) struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: BenchCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {
+enum BenchCommand {
     /// Run all benchmarks and write one report with a description of the machine: text, JSON, CSV, plots, raw histograms,
     /// and a self-contained HTML page.
     #[command(after_help = "Example: cdcr-bench all --out report --quick")]
@@ -120,7 +120,7 @@ struct Measure<B: Benchmark> {
     #[command(flatten)]
     options: B,
     #[command(flatten)]
-    output: Output,
+    output: OutputOptions,
 }
 
 /// Options that set the extent of a benchmark, which `--quick` sets, too.
@@ -128,7 +128,7 @@ const EXTENT: [&str; 5] = ["duration", "rounds", "samples", "seeds", "solves"];
 
 /// Whether to measure at all, how to print a result, and where to keep it.
 #[derive(Debug, Clone, clap::Args)]
-struct Output {
+struct OutputOptions {
     /// Run a small part in some seconds, to see that everything runs; not a measurement.
     #[arg(long)]
     quick: bool,
@@ -201,13 +201,13 @@ pub(crate) fn run() -> Result<()> {
     let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     let start = || Start::now(RunOptions::from_matches(&command, &matches));
     match cli.command {
-        Command::All(asked) => asked.run(start()?),
-        Command::One(one) => one.run(&start()?),
-        Command::Compare(asked) => asked.run(),
+        BenchCommand::All(asked) => asked.run(start()?),
+        BenchCommand::One(one) => one.run(&start()?),
+        BenchCommand::Compare(asked) => asked.run(),
     }
 }
 
-impl Output {
+impl OutputOptions {
     /// Runs one benchmark with its progress and writes its result. The folder is checked before the
     /// measurement, and Ctrl-C ends the measurement in order.
     fn measure(&self, mut options: impl Benchmark, start: &Start) -> Result<()> {
