@@ -103,7 +103,7 @@ impl Asker {
         Ok((header.sequence, header.sent_ns))
     }
 
-    pub fn look(&mut self) -> Result<Option<Answer>> {
+    pub fn poll(&mut self) -> Result<Option<Answer>> {
         let Some(asked) = &self.waiting else {
             return Ok(None);
         };

@@ -179,7 +179,7 @@ impl Watcher {
             let is_there = self.receive()?;
             let now_ns = monotonic_ns();
             if let Some(asker) = &mut self.asker {
-                self.answers.extend(asker.look()?);
+                self.answers.extend(asker.poll()?);
             }
             // A late gather may take messages sent until shortly before the release.
             let sent_ns = self.waits_since_ns();

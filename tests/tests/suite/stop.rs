@@ -102,7 +102,7 @@ fn stop(asker: &mut Asker) -> Asked {
     let (_, begun_ns) = asker.ask(RequestKind::Stop).unwrap();
     let sent_ns = monotonic_ns();
     loop {
-        if let Some(answer) = asker.look().unwrap() {
+        if let Some(answer) = asker.poll().unwrap() {
             answer.accepted().unwrap();
             assert_eq!(answer.response.request_sequence, answer.sequence);
             return Asked {
