@@ -25,11 +25,11 @@ use config::{ConfigCommand, Source};
 )]
 pub struct Cli {
     #[command(subcommand)]
-    command: Command,
+    command: DaemonCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {
+enum DaemonCommand {
     /// Run the control loop until SIGINT or SIGTERM.
     #[command(after_help = "Example: cdcrd run --config robot.toml\n\
         Without --config, simulates the paper's robot with three sections.\n\
@@ -62,17 +62,17 @@ enum Command {
 pub fn execute(cli: Cli) -> Result<ExitCode> {
     let done = |()| ExitCause::Asked.into();
     match cli.command {
-        Command::Run {
+        DaemonCommand::Run {
             source,
             end_with_parent,
         } => {
             end_with_process(end_with_parent)?;
             app::run(Box::new(move || source.load())).map(done)
         }
-        Command::Bare(options) => bare::run(&options).map(done),
-        Command::Check(source) => config::check(&source).map(done),
-        Command::Doctor(options) => doctor::run(&options).map(ExitCode::from),
-        Command::Config(command) => config::execute(command).map(done),
+        DaemonCommand::Bare(options) => bare::run(&options).map(done),
+        DaemonCommand::Check(source) => config::check(&source).map(done),
+        DaemonCommand::Doctor(options) => doctor::run(&options).map(ExitCode::from),
+        DaemonCommand::Config(command) => config::execute(command).map(done),
     }
 }
 
