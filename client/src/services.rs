@@ -5,7 +5,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 use std::sync::Once;
 
-use cdcr_shared_types::message::{Layout, Struct};
+use cdcr_shared_types::message::{MessageLayout, Struct};
 use cdcr_shared_types::shm_space::{self, NODE_FILES, PORT_BYTES, PORT_FILES};
 use cdcr_shared_types::{
     Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
@@ -197,7 +197,7 @@ impl<'a> Opener<'a> {
     }
 
     /// Message types of a service: the daemon's, and this library's.
-    fn types(&self, service: Service, ours: &[&Layout]) -> String {
+    fn types(&self, service: Service, ours: &[&MessageLayout]) -> String {
         let ours = joined(ours.iter().map(|layout| layout.type_name.to_owned()));
         match self.found(service) {
             Some(theirs) => format!("it has {theirs}, this program {ours}"),
@@ -226,7 +226,12 @@ impl<'a> Opener<'a> {
         Some(joined(names))
     }
 
-    fn error(&self, service: Service, ours: &[&Layout], trouble: OpenTrouble) -> ConnectError {
+    fn error(
+        &self,
+        service: Service,
+        ours: &[&MessageLayout],
+        trouble: OpenTrouble,
+    ) -> ConnectError {
         let place = self.place.clone();
         match trouble {
             OpenTrouble::Missing => {

@@ -1,7 +1,7 @@
 use core::fmt::Write as _;
 use std::collections::BTreeMap;
 
-use cdcr_shared_types::message::{Field, Kind, Layout, Meaning};
+use cdcr_shared_types::message::{Field, Kind, Meaning, MessageLayout};
 use hiroz_schema::{
     FieldDescription, FieldTypeDescription, TypeDescription, TypeDescriptionMsg, TypeId,
     calculate_hash,
@@ -25,7 +25,7 @@ pub struct Schema {
 }
 
 /// Schema of a message of the wire.
-pub fn of_layout(layout: &'static Layout) -> Schema {
+pub fn of_layout(layout: &'static MessageLayout) -> Schema {
     Definition::of_layout(layout).schema()
 }
 
@@ -75,7 +75,7 @@ impl Definition {
         });
     }
 
-    fn of_layout(layout: &'static Layout) -> Self {
+    fn of_layout(layout: &'static MessageLayout) -> Self {
         let mut definition = Self::new(&format!("{PACKAGE}/msg/{}", layout.name));
         for field in layout.fields.iter().filter(|field| is_kept(field)) {
             definition.field(field.name, FieldType::from_field(field), &note(field));

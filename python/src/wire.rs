@@ -3,7 +3,7 @@
 
 use cdcr_shared_types::LAYOUTS;
 use cdcr_shared_types::codes::Codes;
-use cdcr_shared_types::message::{Array, Field, Kind, Layout, Meaning, Struct, Value};
+use cdcr_shared_types::message::{Array, Field, Kind, Meaning, MessageLayout, Struct, Value};
 use pyo3::inspect::PyStaticExpr;
 use pyo3::prelude::*;
 use pyo3::type_hint_identifier;
@@ -13,12 +13,12 @@ use crate::errors::Failure;
 
 /// Consecutive messages of one kind.
 pub(crate) struct Records {
-    layout: &'static Layout,
+    layout: &'static MessageLayout,
     bytes: Vec<u8>,
 }
 
 impl Records {
-    pub(crate) fn new(layout: &'static Layout) -> Self {
+    pub(crate) fn new(layout: &'static MessageLayout) -> Self {
         Self {
             layout,
             bytes: Vec::new(),
@@ -93,7 +93,7 @@ fn pack_array(array: &dyn Array, out: &mut Vec<u8>) {
 }
 
 /// The numpy type of a message: its fields with names and offsets.
-fn numpy_type<'py>(py: Python<'py>, layout: &'static Layout) -> PyResult<Bound<'py, PyAny>> {
+fn numpy_type<'py>(py: Python<'py>, layout: &'static MessageLayout) -> PyResult<Bound<'py, PyAny>> {
     let (names, formats, offsets) = (PyList::empty(py), PyList::empty(py), PyList::empty(py));
     for field in layout.fields {
         names.append(field.name)?;
@@ -180,7 +180,7 @@ pub(crate) fn enumerations() -> Vec<(&'static str, Values)> {
     described.collect()
 }
 
-fn layout(name: &str) -> Result<&'static Layout, Failure> {
+fn layout(name: &str) -> Result<&'static MessageLayout, Failure> {
     let found = LAYOUTS.iter().find(|layout| layout.name == name);
     found.copied().ok_or_else(|| {
         let names: Vec<_> = LAYOUTS.iter().map(|layout| layout.name).collect();

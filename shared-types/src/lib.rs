@@ -73,10 +73,10 @@ pub use telemetry::{
     Approach, InputEvent, ReferenceSample, SchedulingReport, SolverReport, Telemetry,
 };
 
-use message::Layout;
+use message::MessageLayout;
 
 /// Every message and every part of one; parts precede the messages that hold them.
-pub const LAYOUTS: [&Layout; 22] = [
+pub const LAYOUTS: [&MessageLayout; 22] = [
     Header::LAYOUT,
     ReferencePoint::LAYOUT,
     ReferenceChunk::LAYOUT,

@@ -31,7 +31,7 @@ use crate::codes::Codes;
 /// A message, or a part of one with fields.
 pub trait Struct {
     /// Name, size and fields.
-    fn layout(&self) -> &'static Layout;
+    fn layout(&self) -> &'static MessageLayout;
     /// Calls `see` for each field with its value, in order.
     fn visit<'a>(&'a self, see: &mut dyn FnMut(&'static Field, Value<'a>));
     /// As [`visit`](Self::visit), with mutable values.
@@ -40,7 +40,7 @@ pub trait Struct {
 
 /// The name, the size and the fields of a message.
 #[derive(Debug)]
-pub struct Layout {
+pub struct MessageLayout {
     /// Name of the struct.
     pub name: &'static str,
     /// Name and version on the wire.
@@ -86,7 +86,7 @@ pub enum Kind {
     /// An array with its element type and length.
     Array(&'static Kind, usize),
     /// A struct with fields of its own.
-    Struct(&'static Layout),
+    Struct(&'static MessageLayout),
 }
 
 impl Kind {
@@ -364,7 +364,7 @@ macro_rules! message {
 
         impl $name {
             /// Name, size and fields.
-            pub const LAYOUT: &'static $crate::message::Layout = &$crate::message::Layout {
+            pub const LAYOUT: &'static $crate::message::MessageLayout = &$crate::message::MessageLayout {
                 name: stringify!($name),
                 type_name: $type_name,
                 size: size_of::<$name>(),
@@ -398,7 +398,7 @@ macro_rules! message {
         }
 
         impl $crate::message::Struct for $name {
-            fn layout(&self) -> &'static $crate::message::Layout { Self::LAYOUT }
+            fn layout(&self) -> &'static $crate::message::MessageLayout { Self::LAYOUT }
             fn visit<'a>(
                 &'a self,
                 see: &mut dyn FnMut(&'static $crate::message::Field, $crate::message::Value<'a>),

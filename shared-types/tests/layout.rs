@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use cdcr_shared_types::message::{Field, Kind, Layout, Meaning, Struct, Value};
+use cdcr_shared_types::message::{Field, Kind, Meaning, MessageLayout, Struct, Value};
 use cdcr_shared_types::{
     Incident, LAYOUTS, Measurement, ObstacleUpdate, ReferenceChunk, Response, Status, Telemetry,
     codes,
@@ -22,7 +22,7 @@ fn kind_text(kind: &Kind) -> String {
     }
 }
 
-fn fields() -> impl Iterator<Item = (&'static Layout, &'static Field)> {
+fn fields() -> impl Iterator<Item = (&'static MessageLayout, &'static Field)> {
     let layouts = LAYOUTS.iter();
     layouts.flat_map(|layout| layout.fields.iter().map(|field| (*layout, field)))
 }

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use cdcr_shared_types::declared::{self, words};
-use cdcr_shared_types::message::{Field, Kind, Layout, Meaning};
+use cdcr_shared_types::message::{Field, Kind, Meaning, MessageLayout};
 use cdcr_shared_types::{
     Command, Incident, LAYOUTS, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
     Service, Status, Telemetry,
@@ -14,7 +14,7 @@ const BEGIN: &str = "<!-- generated from the declarations: ";
 const END: &str = "<!-- end of what is generated -->";
 const HOW: &str = "CDCR_GENERATE=1 cargo test -p cdcr-shared-types wire_protocol";
 
-fn messages(service: Service) -> Vec<&'static Layout> {
+fn messages(service: Service) -> Vec<&'static MessageLayout> {
     match service {
         Service::Reference => vec![ReferenceChunk::LAYOUT],
         Service::Obstacles => vec![ObstacleUpdate::LAYOUT],
@@ -34,7 +34,7 @@ fn services() -> String {
     );
     for service in Service::ALL {
         let layouts = messages(service);
-        let each = |of: &dyn Fn(&Layout) -> String| {
+        let each = |of: &dyn Fn(&MessageLayout) -> String| {
             let all: Vec<_> = layouts.iter().map(|layout| of(layout)).collect();
             all.join(", ")
         };

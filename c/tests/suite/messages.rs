@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use cdcr_c::layout::LAYOUT;
-use cdcr_shared_types::message::{Field, Kind, Layout, Meaning};
+use cdcr_shared_types::message::{Field, Kind, Meaning, MessageLayout};
 use cdcr_shared_types::{LAYOUTS, declared, limits};
 
 const NAME: &str = "cdcr_messages.h";
@@ -123,7 +123,7 @@ fn notes(field: &Field, doc: &str) -> String {
     notes.join("; ")
 }
 
-fn structure(layout: &Layout) -> String {
+fn structure(layout: &MessageLayout) -> String {
     let (name, type_name, size) = (layout.name, layout.type_name, layout.size);
     let mut text = format!("/* {type_name}, {size} bytes. */\ntypedef struct Cdcr{name} {{\n");
     for field in layout.fields {

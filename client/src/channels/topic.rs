@@ -1,6 +1,6 @@
 use cdcr_interchange::mcap::Channel;
 use cdcr_interchange::of_layout;
-use cdcr_shared_types::message::{Layout, Struct};
+use cdcr_shared_types::message::{MessageLayout, Struct};
 use cdcr_shared_types::{
     Incident, ObstacleUpdate, ReferenceChunk, Service, ServiceNameError, Status, Telemetry,
 };
@@ -49,7 +49,7 @@ impl Topic {
     }
 
     /// Layout of its messages.
-    pub fn layout(self) -> &'static Layout {
+    pub fn layout(self) -> &'static MessageLayout {
         match self {
             Self::Telemetry => Telemetry::LAYOUT,
             Self::Reference => ReferenceChunk::LAYOUT,
