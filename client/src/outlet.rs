@@ -11,7 +11,7 @@ use crate::{LinkError, Message};
 /// A slow reader loses messages; it never blocks the publisher.
 #[derive(Debug)]
 pub(crate) struct Outlet<T: Message> {
-    publisher: Publisher<ipc::Service, T, ()>,
+    publisher: Publisher<ipc::Variant, T, ()>,
     sender: MessageSender,
 }
 

@@ -142,7 +142,7 @@ impl RequestError {
     }
 }
 
-type Port = Client<ipc::Service, Request, (), Response, ()>;
+type Port = Client<ipc::Variant, Request, (), Response, ()>;
 
 /// The client end of the control service. Its port is created on first use: for every client that joins or
 /// leaves a service, the daemon creates or removes files. A client that only reads must not cost the control

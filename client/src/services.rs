@@ -25,10 +25,10 @@ use crate::{ConnectError, LinkError, Message};
 const CONNECTION_BYTES: u64 = 64 * 1024;
 
 /// An open publish-subscribe service.
-pub(crate) type Channel<T> = Open<publish_subscribe::PortFactory<ipc::Service, T, ()>>;
+pub(crate) type Channel<T> = Open<publish_subscribe::PortFactory<ipc::Variant, T, ()>>;
 /// The request-response service.
 pub(crate) type ControlChannel =
-    Open<request_response::PortFactory<ipc::Service, Request, (), Response, ()>>;
+    Open<request_response::PortFactory<ipc::Variant, Request, (), Response, ()>>;
 
 /// An open service, and the folder that needs space for each of its ports.
 #[derive(Debug, Clone)]
@@ -135,7 +135,7 @@ pub(crate) fn open_control(
 }
 
 struct Opener<'a> {
-    node: Node<ipc::Service>,
+    node: Node<ipc::Variant>,
     place: &'a Place,
     /// Files of a connection without further ports.
     files: u64,
@@ -158,7 +158,7 @@ impl<'a> Opener<'a> {
         turn_off_iceoryx2_log();
         let files = NODE_FILES + services as u64;
         check_space(place, files)?;
-        let node = location.client_node_builder()?.create::<ipc::Service>();
+        let node = location.client_node_builder()?.create::<ipc::Variant>();
         Ok(Self {
             node: node.map_err(|cause| memory_error(place, files, &ipc::words(&cause)))?,
             place,
@@ -211,7 +211,7 @@ impl<'a> Opener<'a> {
             Service::Control => MessagingPattern::RequestResponse,
             _ => MessagingPattern::PublishSubscribe,
         };
-        let found = ipc::Service::details(&name, self.node.config(), pattern).ok()??;
+        let found = ipc::Variant::details(&name, self.node.config(), pattern).ok()??;
         let types = match found.static_details.messaging_pattern() {
             Found::PublishSubscribe(found) => vec![found.message_type_details()],
             Found::RequestResponse(found) => vec![

@@ -21,7 +21,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// another `sender_id` and numbers from 1. That does not count as loss.
 #[derive(Debug)]
 pub struct Stream<T: Message> {
-    subscriber: Subscriber<ipc::Service, T, ()>,
+    subscriber: Subscriber<ipc::Variant, T, ()>,
     gaps: GapCounter,
 }
 

@@ -44,7 +44,7 @@ const CHECK_INTERVAL_MAX: Duration = Duration::from_millis(20);
 
 #[derive(Debug)]
 pub struct Reporter {
-    telemetry: Publisher<ipc::Service, wire::Telemetry, ()>,
+    telemetry: Publisher<ipc::Variant, wire::Telemetry, ()>,
     ends: ReporterEnds,
     /// The newest telemetry; the next one overwrites it.
     newest: Box<wire::Telemetry>,
@@ -70,7 +70,7 @@ impl Reporter {
     /// The reporter of a validated configuration that publishes through `telemetry`.
     pub fn new(
         validated: &Validated,
-        telemetry: Publisher<ipc::Service, wire::Telemetry, ()>,
+        telemetry: Publisher<ipc::Variant, wire::Telemetry, ()>,
         ends: ReporterEnds,
         daemon_id: u64,
     ) -> Self {

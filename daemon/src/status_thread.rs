@@ -89,12 +89,12 @@ impl Drop for StatusThread {
 /// The publishers of both services.
 #[derive(Debug)]
 struct Desk {
-    statuses: Publisher<ipc::Service, Status, ()>,
-    incidents: Publisher<ipc::Service, Incident, ()>,
+    statuses: Publisher<ipc::Variant, Status, ()>,
+    incidents: Publisher<ipc::Variant, Incident, ()>,
     ends: StatusThreadEnds,
     /// Number of status messages sent.
     sent: u64,
-    _node: Node<ipc::Service>,
+    _node: Node<ipc::Variant>,
 }
 
 impl Desk {

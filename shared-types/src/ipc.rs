@@ -21,9 +21,9 @@ use iceoryx2_cal::{
 /// Invariant: the root folder is on a tmpfs. The kernel writes mapped files on a disk back to it and blocks threads
 /// that access them meanwhile. The daemon checks this at its start.
 #[derive(Debug, Clone)]
-pub struct Service {}
+pub struct Variant {}
 
-impl service::Service for Service {
+impl service::Service for Variant {
     type StaticStorage = static_storage::recommended::Ipc;
     type ConfigSerializer = serialize::recommended::Recommended;
     /// Holds one number that distinguishes the nodes of one process; their identities also contain process id and time.
@@ -50,7 +50,7 @@ impl service::Service for Service {
     type UniqueId = iceoryx2::unique_id_generator::unique_system_id::UniqueSystemId;
 }
 
-impl service::internal::ServiceInternal<Service> for Service {}
+impl service::internal::ServiceInternal<Variant> for Variant {}
 
 const ALL_TAKEN: &str = "all places are taken";
 const SYSTEM_REFUSED: &str = "the system refused a file, a lock or memory";

@@ -371,7 +371,7 @@ impl Location {
             return cleared;
         }
         // The next call retries those that cannot be listed or removed now.
-        let _ = Node::<ipc::Service>::list(&config, |node| {
+        let _ = Node::<ipc::Variant>::list(&config, |node| {
             // Without details, iceoryx2 would clean up the location of its global configuration.
             if let NodeState::Dead(dead) = node
                 && dead.details().is_some()

@@ -13,7 +13,7 @@ use crate::handover::{CycleAnswer, CycleRecord, CycleRequest, Shared};
 use crate::rt::clock::Clock;
 
 /// A request whose client waits for an answer.
-type Asked = ActiveRequest<ipc::Service, Request, (), Response, ()>;
+type Asked = ActiveRequest<ipc::Variant, Request, (), Response, ()>;
 
 /// Requests carried out by one gather; others are refused as busy, except stops.
 pub(super) const REQUESTS_PER_GATHER: usize = 4;

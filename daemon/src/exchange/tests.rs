@@ -51,12 +51,12 @@ struct Rig {
     clock: ManualClock,
     next_cycle: u64,
     sequence: Cell<u64>,
-    measurements: Publisher<ipc::Service, Measurement, ()>,
-    obstacles: Publisher<ipc::Service, ObstacleUpdate, ()>,
-    references: Publisher<ipc::Service, ReferenceChunk, ()>,
-    commands: Subscriber<ipc::Service, Command, ()>,
-    control: Client<ipc::Service, Request, (), Response, ()>,
-    node: Node<ipc::Service>,
+    measurements: Publisher<ipc::Variant, Measurement, ()>,
+    obstacles: Publisher<ipc::Variant, ObstacleUpdate, ()>,
+    references: Publisher<ipc::Variant, ReferenceChunk, ()>,
+    commands: Subscriber<ipc::Variant, Command, ()>,
+    control: Client<ipc::Variant, Request, (), Response, ()>,
+    node: Node<ipc::Variant>,
     _root: Scratch,
 }
 
@@ -218,7 +218,7 @@ impl Rig {
         &self,
         sender_id: u64,
         kind: RequestKind,
-    ) -> PendingResponse<ipc::Service, Request, (), Response, ()> {
+    ) -> PendingResponse<ipc::Variant, Request, (), Response, ()> {
         self.ask_at(sender_id, kind, self.now_ns())
     }
 
@@ -227,7 +227,7 @@ impl Rig {
         sender_id: u64,
         kind: RequestKind,
         sent_ns: u64,
-    ) -> PendingResponse<ipc::Service, Request, (), Response, ()> {
+    ) -> PendingResponse<ipc::Variant, Request, (), Response, ()> {
         let header = self.header(sender_id);
         let request = Request {
             header: Header { sent_ns, ..header },
@@ -277,7 +277,7 @@ impl Rig {
     fn crowd<T: ZeroCopySend + std::fmt::Debug + 'static>(
         &self,
         service: Service,
-    ) -> Vec<Publisher<ipc::Service, T, ()>> {
+    ) -> Vec<Publisher<ipc::Variant, T, ()>> {
         let name = &Config::default().robot.name;
         let others = (1..service.queues().publishers)
             .map(|_| services::publisher(&self.node, service, name).unwrap());
@@ -287,7 +287,7 @@ impl Rig {
 
 /// Each of `crowd` fills its queue.
 fn flood<T: ZeroCopySend + Copy + std::fmt::Debug + 'static>(
-    crowd: &[Publisher<ipc::Service, T, ()>],
+    crowd: &[Publisher<ipc::Variant, T, ()>],
     service: Service,
     mut message: impl FnMut() -> T,
 ) {

@@ -14,8 +14,8 @@ use iceoryx2::sample::Sample;
 /// been served.
 #[derive(Debug)]
 pub struct Inlet<T: ZeroCopySend + Debug + 'static> {
-    subscriber: Subscriber<ipc::Service, T, ()>,
-    held: Vec<Sample<ipc::Service, T, ()>>,
+    subscriber: Subscriber<ipc::Variant, T, ()>,
+    held: Vec<Sample<ipc::Variant, T, ()>>,
     /// The newest sequence number of each writer, the newest writer last.
     newest: Vec<(UniquePublisherId, u64)>,
     header_of: fn(&T) -> &Header,
@@ -31,7 +31,7 @@ pub struct Received<T> {
 impl<T: ZeroCopySend + Debug + Copy + 'static> Inlet<T> {
     /// `most` is the number of messages that may be held at one time.
     pub(super) fn new(
-        subscriber: Subscriber<ipc::Service, T, ()>,
+        subscriber: Subscriber<ipc::Variant, T, ()>,
         most: usize,
         header_of: fn(&T) -> &Header,
     ) -> Self {

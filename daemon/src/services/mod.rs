@@ -78,7 +78,7 @@ pub(crate) fn ask_for_space(location: &Location) -> Result<(), ServiceError> {
 }
 
 /// An iceoryx2 node at `location`. Its creation removes the resources of dead processes.
-pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
+pub fn node(location: &Location) -> Result<Node<ipc::Variant>, ServiceError> {
     let error = |cause: String| ServiceError::Node {
         prefix: location.prefix().to_owned(),
         root: location.root().display().to_string(),
@@ -95,7 +95,7 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
         .config(&config)
         .signal_handling_mode(SignalHandlingMode::Disabled);
     builder
-        .create::<ipc::Service>()
+        .create::<ipc::Variant>()
         .map_err(|cause| error(ipc::words(&cause)))
 }
 
@@ -105,14 +105,14 @@ pub struct Ports {
     pub reference: Inlet<ReferenceChunk>,
     pub obstacles: Inlet<ObstacleUpdate>,
     pub measurement: Inlet<Measurement>,
-    pub command: Publisher<ipc::Service, Command, ()>,
-    pub control: Server<ipc::Service, Request, (), Response, ()>,
+    pub command: Publisher<ipc::Variant, Command, ()>,
+    pub control: Server<ipc::Variant, Request, (), Response, ()>,
 }
 
 impl Ports {
     /// Creates the services through which clients and driver exchange messages with the controller of
     /// `robot`, and the daemon's ends.
-    pub fn create(node: &Node<ipc::Service>, robot: &str) -> Result<Self, ServiceError> {
+    pub fn create(node: &Node<ipc::Variant>, robot: &str) -> Result<Self, ServiceError> {
         Ok(Self {
             reference: inlet(
                 node,
@@ -152,7 +152,7 @@ fn failed(service: Service, robot: &str) -> impl Fn(&dyn Debug) -> ServiceError 
 
 /// Creates a port that needs `bytes` of free shared memory, and allocates them permanently.
 fn with_space<P>(
-    node: &Node<ipc::Service>,
+    node: &Node<ipc::Variant>,
     service: Service,
     robot: &str,
     bytes: u64,
@@ -172,10 +172,10 @@ fn with_space<P>(
 }
 
 fn topic<T: ZeroCopySend + Debug + 'static>(
-    node: &Node<ipc::Service>,
+    node: &Node<ipc::Variant>,
     service: Service,
     robot: &str,
-) -> Result<PortFactory<ipc::Service, T, ()>, ServiceError> {
+) -> Result<PortFactory<ipc::Variant, T, ()>, ServiceError> {
     let failed = failed(service, robot);
     let queues = service.queues();
     let name = service.name(robot).map_err(|cause| failed(&cause))?;
@@ -196,10 +196,10 @@ fn topic<T: ZeroCopySend + Debug + 'static>(
 
 /// A publisher that never waits for a reader, with its memory allocated.
 pub fn publisher<T: ZeroCopySend + Debug + 'static>(
-    node: &Node<ipc::Service>,
+    node: &Node<ipc::Variant>,
     service: Service,
     robot: &str,
-) -> Result<Publisher<ipc::Service, T, ()>, ServiceError> {
+) -> Result<Publisher<ipc::Variant, T, ()>, ServiceError> {
     let bytes = shm_space::writer_bytes(service, size_of::<T>());
     let messages = service.queues().writer_messages();
     with_space(node, service, robot, bytes, || {
@@ -230,9 +230,9 @@ pub fn publisher<T: ZeroCopySend + Debug + 'static>(
 }
 
 pub fn telemetry(
-    node: &Node<ipc::Service>,
+    node: &Node<ipc::Variant>,
     robot: &str,
-) -> Result<Publisher<ipc::Service, Telemetry, ()>, ServiceError> {
+) -> Result<Publisher<ipc::Variant, Telemetry, ()>, ServiceError> {
     publisher(node, Service::Telemetry, robot)
 }
 
@@ -240,7 +240,7 @@ pub fn telemetry(
 /// no memory can be loaned, the message is lost and readers see a gap in the sequence. True if the message
 /// was sent.
 pub(crate) fn send<T: ZeroCopySend + Debug + Copy + 'static>(
-    publisher: &Publisher<ipc::Service, T, ()>,
+    publisher: &Publisher<ipc::Variant, T, ()>,
     message: &T,
 ) -> bool {
     publisher
@@ -250,14 +250,14 @@ pub(crate) fn send<T: ZeroCopySend + Debug + Copy + 'static>(
 
 /// The publisher of incidents; late joiners receive earlier ones, too.
 pub fn incidents(
-    node: &Node<ipc::Service>,
+    node: &Node<ipc::Variant>,
     robot: &str,
-) -> Result<Publisher<ipc::Service, Incident, ()>, ServiceError> {
+) -> Result<Publisher<ipc::Variant, Incident, ()>, ServiceError> {
     publisher(node, Service::Incidents, robot)
 }
 
 fn inlet<T: ZeroCopySend + Debug + Copy + 'static>(
-    node: &Node<ipc::Service>,
+    node: &Node<ipc::Variant>,
     service: Service,
     robot: &str,
     header_of: fn(&T) -> &Header,
@@ -281,9 +281,9 @@ fn inlet<T: ZeroCopySend + Debug + Copy + 'static>(
 }
 
 fn control(
-    node: &Node<ipc::Service>,
+    node: &Node<ipc::Variant>,
     robot: &str,
-) -> Result<Server<ipc::Service, Request, (), Response, ()>, ServiceError> {
+) -> Result<Server<ipc::Variant, Request, (), Response, ()>, ServiceError> {
     let failed = failed(Service::Control, robot);
     let name = Service::Control
         .name(robot)

@@ -55,7 +55,7 @@ impl ShmSpace {
         }
     }
 
-    pub(super) fn from_node(node: &Node<ipc::Service>) -> Self {
+    pub(super) fn from_node(node: &Node<ipc::Variant>) -> Self {
         let global = &node.config().global;
         Self {
             root: PathBuf::from(global.root_path().to_string()),

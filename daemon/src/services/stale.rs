@@ -21,12 +21,12 @@ use iceoryx2::service::internal::ServiceInternal;
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::service_hash::ServiceHash;
 
-type Hasher = <ipc::Service as Service>::ServiceNameHasher;
+type Hasher = <ipc::Variant as Service>::ServiceNameHasher;
 
 /// Creates a service with `make`. First removes a service that cannot be opened because its creator was
 /// killed half-way. Its memory, if any, belongs to a dead node and is removed with that.
 pub(super) fn create_or_replace<T, E: Debug>(
-    node: &Node<ipc::Service>,
+    node: &Node<ipc::Variant>,
     name: &ServiceName,
     pattern: MessagingPattern,
     make: impl Fn() -> Result<T, E>,
@@ -73,7 +73,7 @@ const LOST_AFTER: Duration = Duration::from_secs(1);
 /// dead processes are freed first; `ports` lists the owners. If all owners are alive, the error is returned
 /// at once.
 pub(super) fn create_in_free_slot<P, E>(
-    node: &Node<ipc::Service>,
+    node: &Node<ipc::Variant>,
     service: &ServiceHash,
     ports: impl Fn(&mut Vec<PortOfNode>),
     is_full: impl Fn(&E) -> bool,
@@ -117,7 +117,7 @@ impl Nodes {
     /// Lists the nodes, and tries to remove the resources of dead ones. `None` if they cannot be listed.
     fn list(config: &Config) -> Option<Self> {
         let mut nodes = Self::default();
-        let listed = Node::<ipc::Service>::list(config, |state| {
+        let listed = Node::<ipc::Variant>::list(config, |state| {
             let id = *state.node_id();
             if let NodeState::Dead(dead) = state {
                 nodes.dead.push(id);
@@ -144,7 +144,7 @@ fn remove_lost_ports(config: &Config, service: &ServiceHash, ports: &[PortOfNode
         let suffix = &global.node.port_tag_suffix;
         let tag = folder.join(format!("{}{port}{suffix}", global.prefix));
         let made = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&tag, ""));
-        let removed = ipc::Service::__internal_remove_node_from_service(owner, service, config);
+        let removed = ipc::Variant::__internal_remove_node_from_service(owner, service, config);
         let _ = std::fs::remove_file(tag);
         // Only removed if empty.
         let _ = std::fs::remove_dir(folder);
@@ -152,7 +152,7 @@ fn remove_lost_ports(config: &Config, service: &ServiceHash, ports: &[PortOfNode
     }
 }
 
-fn remove(node: &Node<ipc::Service>, name: &ServiceName, pattern: MessagingPattern) {
+fn remove(node: &Node<ipc::Variant>, name: &ServiceName, pattern: MessagingPattern) {
     let path = service_file(node.config(), name, pattern);
     let removed = std::fs::remove_file(&path);
     tracing::warn!(path = %path.display(), ?removed, "a killed daemon left this service orphaned");
@@ -169,7 +169,7 @@ pub fn sweep(location: &Location) {
         return;
     };
     let mut is_empty = true;
-    let listed = Node::<ipc::Service>::list(&config, |state| {
+    let listed = Node::<ipc::Variant>::list(&config, |state| {
         is_empty &= !matches!(state, NodeState::Alive(_) | NodeState::Inaccessible(_));
         CallbackProgression::Continue
     });
@@ -220,7 +220,7 @@ mod tests {
     use super::*;
 
     /// Removes the files through which others know the node, and its other files in the folder of the nodes.
-    fn forget(node: &Node<ipc::Service>) {
+    fn forget(node: &Node<ipc::Variant>) {
         let folder = node.config().global.node_dir().to_string();
         let id = node.id().value().to_string();
         for entry in std::fs::read_dir(folder).unwrap().flatten() {

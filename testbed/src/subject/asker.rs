@@ -15,15 +15,15 @@ const ANSWER_TIMEOUT_NS: u64 = 20_000_000_000;
 #[derive(Debug)]
 pub struct Asker {
     waiting: Option<Asked>,
-    client: Client<ipc::Service, Request, (), Response, ()>,
+    client: Client<ipc::Variant, Request, (), Response, ()>,
     sender_id: u64,
     sequence: u64,
-    _node: Node<ipc::Service>,
+    _node: Node<ipc::Variant>,
 }
 
 #[derive(Debug)]
 struct Asked {
-    pending: PendingResponse<ipc::Service, Request, (), Response, ()>,
+    pending: PendingResponse<ipc::Variant, Request, (), Response, ()>,
     kind: RequestKind,
     header: Header,
 }
@@ -51,7 +51,7 @@ impl Asker {
     /// Opens the request service of the daemon of `robot`. Requests carry `sender_id`, to which the lease is
     /// bound.
     pub fn open(location: &Location, robot: &str, sender_id: u64) -> Result<Self> {
-        let node = location.node_builder()?.create::<ipc::Service>();
+        let node = location.node_builder()?.create::<ipc::Variant>();
         let node = node.context("a node of iceoryx2")?;
         let service = node
             .service_builder(&Service::Control.name(robot)?)

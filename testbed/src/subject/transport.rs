@@ -151,14 +151,14 @@ fn poll<T>(shares: bool, look: impl Fn() -> Result<Option<T>>) -> Result<(T, u64
 }
 
 struct Services {
-    there: publish_subscribe::PortFactory<ipc::Service, Command, ()>,
-    back: publish_subscribe::PortFactory<ipc::Service, Command, ()>,
-    control: request_response::PortFactory<ipc::Service, Request, (), Response, ()>,
+    there: publish_subscribe::PortFactory<ipc::Variant, Command, ()>,
+    back: publish_subscribe::PortFactory<ipc::Variant, Command, ()>,
+    control: request_response::PortFactory<ipc::Variant, Request, (), Response, ()>,
 }
 
 impl Services {
     fn open(location: &Location) -> Result<Self> {
-        let node = location.node_builder()?.create::<ipc::Service>()?;
+        let node = location.node_builder()?.create::<ipc::Variant>()?;
         let topic = |name: &str| -> Result<_> {
             let service = node.service_builder(&name.try_into()?);
             let topic = service.publish_subscribe::<Command>();

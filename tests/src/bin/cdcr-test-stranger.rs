@@ -24,7 +24,7 @@ fn main() {
         "{refused:?}"
     );
     // Without the client's check of the owner.
-    let by_hand = location.node_builder().unwrap().create::<ipc::Service>();
+    let by_hand = location.node_builder().unwrap().create::<ipc::Variant>();
     println!("{:?}", by_hand.unwrap_err());
     println!(
         "joined nothing as user {}",

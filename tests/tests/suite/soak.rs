@@ -240,7 +240,7 @@ pub(crate) fn nodes(place: &Place) -> [u64; 2] {
     use iceoryx2::prelude::{CallbackProgression, Node, NodeState};
     let mut count = [0, 0];
     let config = place.location().iceoryx2_config().unwrap();
-    Node::<ipc::Service>::list(&config, |state| {
+    Node::<ipc::Variant>::list(&config, |state| {
         count[usize::from(!matches!(state, NodeState::Alive(_)))] += 1;
         CallbackProgression::Continue
     })

@@ -294,7 +294,7 @@ fn a_thread_that_panics_ends_with_70() {
 #[test]
 fn a_service_of_another_version_keeps_the_daemon_out_with_71_and_the_client_too() {
     let place = Place::new();
-    let node: Node<ipc::Service> = place.location().node_builder().unwrap().create().unwrap();
+    let node: Node<ipc::Variant> = place.location().node_builder().unwrap().create().unwrap();
     // The first file that a client opens.
     let other = node
         .service_builder(&Service::Reference.name(ROBOT).unwrap())

@@ -77,21 +77,21 @@ fn nonsense(kind: Kind, now_ns: u64) -> BoxedStrategy<Step> {
 /// A client that knows the services and violates their rules.
 struct Stranger {
     runner: TestRunner,
-    reference: Publisher<ipc::Service, ReferenceChunk, ()>,
-    obstacles: Publisher<ipc::Service, ObstacleUpdate, ()>,
-    measurement: Publisher<ipc::Service, Measurement, ()>,
-    control: Client<ipc::Service, Request, (), Response, ()>,
+    reference: Publisher<ipc::Variant, ReferenceChunk, ()>,
+    obstacles: Publisher<ipc::Variant, ObstacleUpdate, ()>,
+    measurement: Publisher<ipc::Variant, Measurement, ()>,
+    control: Client<ipc::Variant, Request, (), Response, ()>,
     /// Requests without an answer; their answers are not read.
-    pending: Vec<PendingResponse<ipc::Service, Request, (), Response, ()>>,
+    pending: Vec<PendingResponse<ipc::Variant, Request, (), Response, ()>>,
     sequence: u64,
     sent: u64,
-    _node: Node<ipc::Service>,
+    _node: Node<ipc::Variant>,
 }
 
 fn publisher<T: ZeroCopySend + std::fmt::Debug + 'static>(
-    node: &Node<ipc::Service>,
+    node: &Node<ipc::Variant>,
     service: Service,
-) -> Publisher<ipc::Service, T, ()> {
+) -> Publisher<ipc::Variant, T, ()> {
     let name = service.name(ROBOT).unwrap();
     let topic = node.service_builder(&name).publish_subscribe::<T>();
     let opened = topic.open().unwrap();
@@ -105,7 +105,7 @@ fn publisher<T: ZeroCopySend + std::fmt::Debug + 'static>(
 impl Stranger {
     fn arrive(place: &Place) -> Self {
         let node = place.location().node_builder().unwrap();
-        let node = node.create::<ipc::Service>().unwrap();
+        let node = node.create::<ipc::Variant>().unwrap();
         let name = Service::Control.name(ROBOT).unwrap();
         let control = node.service_builder(&name);
         let control = control.request_response::<Request, Response>();

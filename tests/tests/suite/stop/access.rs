@@ -182,7 +182,7 @@ pub(super) fn die() -> bool {
     let (prefix, root) = place.split_once(' ').unwrap();
     let location = Location::new(prefix, std::path::Path::new(root)).unwrap();
     let make = || location.client_node_builder().unwrap().create();
-    let _nodes: Vec<Node<ipc::Service>> = (0..NODES).map(|_| make().unwrap()).collect();
+    let _nodes: Vec<Node<ipc::Variant>> = (0..NODES).map(|_| make().unwrap()).collect();
     println!("made");
     loop {
         std::thread::park();

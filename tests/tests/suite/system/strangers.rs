@@ -6,7 +6,7 @@ use cdcr_shared_types::{ReferenceChunk, Service, Status, ipc};
 use cdcr_tests::{Place, ROBOT};
 use iceoryx2::prelude::{Node, ZeroCopySend};
 
-fn node(place: &Place) -> Node<ipc::Service> {
+fn node(place: &Place) -> Node<ipc::Variant> {
     let builder = place.location().node_builder().unwrap();
     builder.create().unwrap()
 }
