@@ -22,7 +22,7 @@ use crate::{
     Connection, Lease, ReferenceFeed, RequestError, TelemetryStream, Trajectory, monotonic_ns,
 };
 use schedule::Schedule;
-use watch::Watch;
+use watch::FeedWatch;
 
 /// Time between two iterations of the feed: about one cycle of the daemon, less for a short lease.
 const TURN_MAX: Duration = Duration::from_millis(5);
@@ -152,7 +152,7 @@ impl<'c> Feeder<'c> {
         let now_ns = monotonic_ns();
         let mut state = FeedState {
             schedule: Schedule::new(self.trajectory, &self.options, now_ns)?,
-            watch: Watch::new(self.connection.sender_id(), self.lease.grant()),
+            watch: FeedWatch::new(self.connection.sender_id(), self.lease.grant()),
             record_arrived_ns: now_ns,
             renewed_ns: now_ns,
             last_release_ns: now_ns,
@@ -248,7 +248,7 @@ fn turn(left: Duration) -> Duration {
 /// State of a running feed.
 struct FeedState<'t> {
     schedule: Schedule<'t>,
-    watch: Watch,
+    watch: FeedWatch,
     /// Arrival of the last record.
     record_arrived_ns: u64,
     /// Last renewal of the lease.

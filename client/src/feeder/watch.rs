@@ -11,7 +11,7 @@ const EARLY_END_NS: u64 = 50_000_000;
 
 /// Evaluates the telemetry for one feed: outcomes of its chunks, and the mode.
 #[derive(Debug)]
-pub(super) struct Watch {
+pub(super) struct FeedWatch {
     sender_id: u64,
     grant: Grant,
     /// Sequence number and first point of every sent chunk.
@@ -21,7 +21,7 @@ pub(super) struct Watch {
     ended: bool,
 }
 
-impl Watch {
+impl FeedWatch {
     /// For the chunks of `sender_id`, which holds the lease by `grant`.
     pub(super) fn new(sender_id: u64, grant: Grant) -> Self {
         Self {
@@ -173,10 +173,10 @@ mod tests {
         record
     }
 
-    fn check(test: impl FnOnce(&mut Watch, &Schedule)) {
+    fn check(test: impl FnOnce(&mut FeedWatch, &Schedule)) {
         let spiral = Spiral::for_sections(&[0.3]);
         let schedule = Schedule::new(&spiral, &FeedOptions::default(), 0).expect("valid");
-        let mut watch = Watch::new(ME, GRANT);
+        let mut watch = FeedWatch::new(ME, GRANT);
         watch.sent(1, 0);
         watch.sent(2, 128);
         test(&mut watch, &schedule);
@@ -185,7 +185,7 @@ mod tests {
     #[test]
     fn only_outcomes_of_our_chunks_count() {
         check(|watch, schedule| {
-            let evaluate = |watch: &mut Watch, record| watch.evaluate(&record, schedule);
+            let evaluate = |watch: &mut FeedWatch, record| watch.evaluate(&record, schedule);
             assert!(evaluate(watch, with_event(8, 1, Outcome::NoLease)).is_ok());
             assert!(evaluate(watch, with_event(ME, 9, Outcome::NoLease)).is_ok());
             assert!(!watch.is_accepted());

@@ -8,7 +8,7 @@ use cdcr_shared_types::message::Struct;
 
 use crate::Done;
 use crate::args::{HzOptions, Target};
-use crate::echo::{LineFormat, Watch, each, watch};
+use crate::echo::{LineFormat, MessageHandler, each, watch};
 
 /// Interval of the printed lines.
 const LINE: Duration = Duration::from_secs(1);
@@ -17,7 +17,7 @@ pub(crate) fn run(target: &Target, options: &HzOptions) -> anyhow::Result<Done> 
     watch(target, options.topic, options)
 }
 
-impl Watch for HzOptions {
+impl MessageHandler for HzOptions {
     fn watch<T: Message + Struct>(
         &self,
         connection: &Connection,

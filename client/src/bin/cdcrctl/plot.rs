@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use crate::Done;
 use crate::args::{PlotOptions, Target, Topic};
 use crate::echo::field::{check, select, without_null};
-use crate::echo::{LineFormat, Watch, json, paced, watch};
+use crate::echo::{LineFormat, MessageHandler, json, paced, watch};
 
 /// Maximum size of a datagram, so that no receiver truncates it.
 const BYTES_MAX: usize = 2000;
@@ -30,7 +30,7 @@ pub(crate) fn run(target: &Target, options: &PlotOptions) -> anyhow::Result<Done
     watch(target, options.topic, options)
 }
 
-impl Watch for PlotOptions {
+impl MessageHandler for PlotOptions {
     fn watch<T: Message + Struct>(
         &self,
         connection: &Connection,

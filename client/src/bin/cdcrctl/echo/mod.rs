@@ -22,7 +22,7 @@ pub(crate) struct LineFormat<T> {
 }
 
 /// Handler for the messages of a service.
-pub(crate) trait Watch {
+pub(crate) trait MessageHandler {
     /// Handles messages until it has enough of them.
     fn watch<T: Message + Struct>(
         &self,
@@ -33,7 +33,11 @@ pub(crate) trait Watch {
 }
 
 /// Passes the messages of a topic to `watch`.
-pub(crate) fn watch(target: &Target, topic: Topic, watch: &impl Watch) -> anyhow::Result<Done> {
+pub(crate) fn watch(
+    target: &Target,
+    topic: Topic,
+    watch: &impl MessageHandler,
+) -> anyhow::Result<Done> {
     let connection = &target.connect()?;
     macro_rules! shown {
         ($messages:ident, $heading:ident, $line:ident) => {{
@@ -100,7 +104,7 @@ pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done
     watch(target, options.topic, options)
 }
 
-impl Watch for EchoOptions {
+impl MessageHandler for EchoOptions {
     fn watch<T: Message + Struct>(
         &self,
         connection: &Connection,
