@@ -12,10 +12,12 @@
 
 pub mod driver;
 pub mod load;
+pub mod managed;
 mod program;
 pub mod record;
 pub mod robot;
 pub mod system_calls;
+pub mod threads;
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -33,7 +35,7 @@ pub use cdcr_process::in_public_memory;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 use cdcr_shared_types::{Obstacle, Response, Status, Telemetry};
 use derive_more::{Deref, DerefMut};
-pub use program::{Program, Running};
+pub use program::{Program, Running, unread_pipe};
 use rustix::process::Signal;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use serde_json::Value;

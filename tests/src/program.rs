@@ -1,12 +1,13 @@
 //! A program that runs beside a test.
 
-use std::io::{ErrorKind, Read};
+use std::io::{ErrorKind, PipeReader, PipeWriter, Read, Write};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use derive_more::{Deref, DerefMut};
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::TIMEOUT;
@@ -135,6 +136,21 @@ impl Printed {
         let text = self.text.lock().unwrap_or_else(PoisonError::into_inner);
         text.clone()
     }
+}
+
+/// A pipe without a reader that accepts nothing more; a further writer blocks.
+pub fn unread_pipe() -> (PipeReader, PipeWriter) {
+    let (reader, mut writer) = std::io::pipe().unwrap();
+    let flags = fcntl_getfl(&writer).unwrap();
+    fcntl_setfl(&writer, flags | OFlags::NONBLOCK).unwrap();
+    let full = loop {
+        if let Err(error) = writer.write(&[b' '; 4096]) {
+            break error;
+        }
+    };
+    assert_eq!(full.kind(), ErrorKind::WouldBlock, "{full}");
+    fcntl_setfl(&writer, flags).unwrap();
+    (reader, writer)
 }
 
 #[cfg(test)]

@@ -7,26 +7,8 @@ use std::collections::BinaryHeap;
 use rows::Rows;
 
 use super::products::{add_times, dot, with_known_size};
-use super::{Budget, Stages, VIOLATIONS};
-
-/// The unknowns on which a row depends: those of one block, and perhaps those of all blocks before.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct RowStage {
-    pub(crate) block: usize,
-    /// Whether it also depends on the sum of the blocks before, each for its full length.
-    pub(crate) since_start: bool,
-    /// Number of periods for which the unknowns of its block were in force.
-    pub(crate) periods: f64,
-}
-
-impl RowStage {
-    /// For rows that depend on a single block, or have no stage.
-    pub(crate) const FIRST_BLOCK: Self = Self {
-        block: 0,
-        since_start: true,
-        periods: 1.0,
-    };
-}
+use super::stages::{RowStage, Stages};
+use super::{Budget, VIOLATIONS};
 
 /// Residuals r, Jacobian J and linearised constraints h + A Δ ≥ 0 at one point.
 ///

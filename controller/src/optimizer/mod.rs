@@ -27,10 +27,10 @@ pub use incumbent::Candidate;
 pub(crate) use incumbent::Incumbent;
 pub(crate) use kpso::{Kpso, KpsoSettings, SwarmTask};
 pub use kpso::{VelocityRule, cycle_seed};
-pub(crate) use linear_model::{LinearModel, RowStage};
+pub(crate) use linear_model::LinearModel;
 pub use simd::Simd;
 pub(crate) use simd::run_outlined;
-pub(crate) use stages::{BLOCKS_MAX, Stages, WIDTH_MAX};
+pub(crate) use stages::{BLOCKS_MAX, RowStage, Stages, WIDTH_MAX};
 
 use crate::wide::{Aligned, Wide};
 

@@ -1,11 +1,28 @@
 //! Unknowns in stages along a horizon: a row depends on the blocks before its own only by their sum.
 
-use super::linear_model::RowStage;
-
 /// Largest number of blocks.
 pub(crate) const BLOCKS_MAX: usize = 50;
 /// Largest number of unknowns of a block.
 pub(crate) const WIDTH_MAX: usize = 12;
+
+/// The unknowns on which a row depends: those of one block, and perhaps those of all blocks before.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct RowStage {
+    pub(crate) block: usize,
+    /// Whether it also depends on the sum of the blocks before, each for its full length.
+    pub(crate) since_start: bool,
+    /// Number of periods for which the unknowns of its block were in force.
+    pub(crate) periods: f64,
+}
+
+impl RowStage {
+    /// For rows that depend on a single block, or have no stage.
+    pub(crate) const FIRST_BLOCK: Self = Self {
+        block: 0,
+        since_start: true,
+        periods: 1.0,
+    };
+}
 
 /// Consecutive blocks with equally many unknowns, each in force for a number of periods. A block changes the
 /// state by period · length times its unknowns. So the change up to the end of block b is the sum over the

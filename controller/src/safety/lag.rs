@@ -5,11 +5,11 @@ use core::array::from_fn;
 use core::cell::{Cell, OnceCell};
 
 use super::clearance::{
-    NEAR_MAX, POINT_COST, REGION_COST, ROW_COST, SOLVE_COST, clearance_cost, dip_m, fastest,
-    scaled_by, shortened_to, thinnest_m,
+    NEAR_MAX, POINT_COST, REGION_COST, ROW_COST, SOLVE_COST, clearance_cost, dip_m, thinnest_m,
 };
 use super::projection::Region;
-use super::{Lag, SafeCommand, Situation};
+use super::situation::{Lag, SafeCommand, Situation};
+use super::stopping::{fastest, scaled_by, shortened_to};
 use crate::robot::{
     BendRates, Body, COORDINATES_MAX, Configuration, Nearest, Obstacle, Robot, SECTIONS_MAX,
 };

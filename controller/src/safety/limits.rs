@@ -5,8 +5,8 @@ mod stops;
 
 use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot};
 
-use super::clearance::Stopping;
 use super::projection::{Region, Vector};
+use super::stopping::Stopping;
 
 /// Distance inside a limit at which the nearest command aims, in rad and m, so that rounding does not exceed
 /// the limit: the command would then be scaled down by any amount. The projection is accurate to 10⁻¹³ of a

@@ -20,10 +20,12 @@ mod plausibility;
 mod play;
 mod projection;
 mod ramp;
+mod situation;
+mod stopping;
 
 pub use bend_limit::{BEND_TOLERANCE_RAD, BendLimitWatch, FarthestBend};
 pub use bucket::LeakyBucket;
-pub use command::{Lag, SafeCommand, Situation, safe_command};
+pub use command::safe_command;
 pub use common_mode::CommonModeWatch;
 pub use following::{FollowingError, FollowingRules, FollowingWatch};
 pub use limits::{Limited, Limits, LimitsHit, limit, shorten};
@@ -31,3 +33,4 @@ pub use margin_share::MarginShare;
 pub use mode::{LeaseState, Mode, ModeMachine, Observation, Reason, Refusal, Request};
 pub use plausibility::{MeasurementWatch, Plausibility, PlausibilityRules};
 pub use ramp::{homing_rates, ramp_to_zero};
+pub use situation::{Lag, SafeCommand, Situation};

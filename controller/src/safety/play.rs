@@ -1,7 +1,7 @@
 //! Correction of a safe command for cables with play.
 
-use super::clearance::fastest;
-use super::{SafeCommand, Situation};
+use super::situation::{SafeCommand, Situation};
+use super::stopping::fastest;
 use crate::estimator::Slack;
 use crate::robot::BendRates;
 

@@ -6,7 +6,7 @@
 //! duration must be explained by the records: skipped releases, or a late gather or start.
 
 mod access;
-pub(crate) mod beside;
+mod beside;
 mod latch;
 mod matrix;
 mod place;

@@ -1,11 +1,17 @@
 //! Rules of ARCHITECTURE.md that the compiler does not enforce: forbidden imports of a folder, and the length
 //! of a file.
 
+mod modules;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use modules::{
+    Graph, Graphs, circle, circles_across_folders, graphs, imports, module_of, re_exports,
+};
+
 /// Sources of the crates with several modules, which import each other in one direction only.
-const SOURCES: [&str; 12] = [
+const SOURCES: [&str; 13] = [
     "controller/src",
     "shared-types/src",
     "daemon/src",
@@ -18,6 +24,7 @@ const SOURCES: [&str; 12] = [
     "c/src",
     "python/src",
     "tests/src",
+    "tests/tests/suite",
 ];
 
 /// The folders of the controller in their order: each knows only those before it.
@@ -139,130 +146,32 @@ fn indent_of(line: &str) -> &str {
     &line[..line.len() - line.trim_start().len()]
 }
 
-/// Top-level modules of the crate that the code of a module names. `module` is its path from the crate's
-/// root. Names after `$crate` in a macro belong to the place of its use.
-fn imports(code: &str, module: &[String]) -> BTreeSet<String> {
-    let mut names = BTreeSet::new();
-    for (at, word) in code.match_indices("crate::") {
-        if !code[..at].ends_with('$') {
-            names.extend(first_names(&code[at + word.len()..]));
+/// The graphs of the modules of a crate.
+fn graphs_of(source: &str) -> Graphs {
+    let root = workspace().join(source);
+    let mut files = BTreeMap::<Vec<String>, String>::new();
+    for file in sources(source) {
+        let module = module_of(file.strip_prefix(&root).unwrap());
+        if module.first().is_none_or(|name| name != "bin") {
+            // The roots of a library and of a program beside it are one.
+            files.entry(module).or_default().push_str(&code(&file));
         }
     }
-    // `super::super::` leads up as many modules.
-    let mut rest = code;
-    while let Some(at) = rest.find("super::") {
-        let mut ups = 0;
-        rest = &rest[at..];
-        while let Some(after) = rest.strip_prefix("super::") {
-            (ups, rest) = (ups + 1, after);
-        }
-        match module.len().saturating_sub(ups) {
-            0 => names.extend(first_names(rest)),
-            _ => names.extend(module.first().cloned()),
-        }
-    }
-    names
-}
-
-/// The first name of a path, or of each path of a group in braces.
-fn first_names(path: &str) -> Vec<String> {
-    let name = |path: &str| {
-        let is_part = |c: &char| c.is_alphanumeric() || *c == '_';
-        path.trim_start().chars().take_while(is_part).collect()
-    };
-    let Some(group) = path.strip_prefix('{') else {
-        return vec![name(path)];
-    };
-    let (mut depth, mut begin, mut names) = (1, 0, Vec::new());
-    for (at, c) in group.char_indices() {
-        if depth == 1 && (c == ',' || c == '}') {
-            names.push(name(&group[begin..at]));
-            begin = at + 1;
-        }
-        depth += i32::from(c == '{') - i32::from(c == '}');
-        if depth == 0 {
-            break;
-        }
-    }
-    names
-}
-
-/// The path of a file's module from the root of its crate.
-fn module_of(file: &Path) -> Vec<String> {
-    let parts = file.with_extension("");
-    let parts = parts.iter().map(|part| part.to_str().unwrap().to_owned());
-    parts.filter(|part| part != "mod").collect()
+    graphs(&files)
 }
 
 /// Each top-level module of a crate with its imports.
-fn graph(source: &str) -> BTreeMap<String, BTreeSet<String>> {
-    let root = workspace().join(source);
-    let mut graph = BTreeMap::<String, BTreeSet<String>>::new();
-    for file in sources(source) {
-        let path = module_of(file.strip_prefix(&root).unwrap());
-        let module = &path[0];
-        if !["lib", "main", "bin"].contains(&module.as_str()) {
-            let imports = imports(&code(&file), &path);
-            graph.entry(module.clone()).or_default().extend(imports);
-        }
-    }
-    let modules: BTreeSet<_> = graph.keys().cloned().collect();
-    let exports = exports(&["lib.rs", "main.rs"].map(|file| root.join(file)));
-    for (module, imports) in &mut graph {
-        let named = std::mem::take(imports).into_iter();
-        *imports = named
-            .map(|name| exports.get(&name).cloned().unwrap_or(name))
-            .filter(|name| name != module && modules.contains(name))
-            .collect();
-    }
-    graph
-}
-
-/// The names that the root of a crate re-exports, each with its module.
-fn exports(roots: &[PathBuf]) -> BTreeMap<String, String> {
-    let roots = roots.iter().filter(|file| file.exists());
-    roots.flat_map(|file| re_exports(&code(file))).collect()
-}
-
-/// Each name that a root declares by `use module::name`, with its module.
-fn re_exports(code: &str) -> Vec<(String, String)> {
-    let is_part = |c: char| c.is_alphanumeric() || c == '_';
-    let statements = code.split(';').filter_map(|text| text.split_once("use "));
-    let paths = statements.filter_map(|(_, path)| path.split_once("::"));
-    paths
-        .flat_map(|(module, names)| {
-            let names = names.split(|c| !is_part(c)).filter(|name| !name.is_empty());
-            names.map(|name| (name.to_owned(), module.to_owned()))
-        })
-        .collect()
-}
-
-/// The rest after repeatedly removing every module without imports: empty without a circle.
-fn circles(mut graph: BTreeMap<String, BTreeSet<String>>) -> BTreeMap<String, BTreeSet<String>> {
-    loop {
-        let (free, rest): (BTreeMap<_, _>, BTreeMap<_, _>) = graph
-            .into_iter()
-            .partition(|(_, imports)| imports.is_empty());
-        if free.is_empty() {
-            return rest;
-        }
-        graph = rest;
-        for imports in graph.values_mut() {
-            imports.retain(|name| !free.contains_key(name));
-        }
-    }
+fn graph(source: &str) -> Graph {
+    graphs_of(source).remove(&vec![]).unwrap()
 }
 
 #[test]
 fn the_folders_of_a_crate_import_each_other_in_one_direction_only() {
     for name in SOURCES {
-        let graph = graph(name);
-        assert!(graph.len() > 1, "{name}: {graph:?}");
-        let circles = circles(graph);
-        assert!(
-            circles.is_empty(),
-            "{name} has a circle among: {circles:#?}"
-        );
+        let graphs = graphs_of(name);
+        let root = &graphs[&vec![]];
+        assert!(root.len() > 1, "{name}: {root:?}");
+        assert_eq!(circles_across_folders(&graphs), [""; 0], "{name}");
     }
 }
 
@@ -318,53 +227,87 @@ fn rt_imports_nothing_of_the_daemon_and_four_things_of_the_messages() {
 #[test]
 fn a_circle_is_found() {
     let graph = |edges: &[(&str, &str)]| {
-        let mut graph = BTreeMap::<String, BTreeSet<String>>::new();
+        let mut graph = Graph::new();
         for (from, to) in edges {
             graph.entry((*to).to_owned()).or_default();
-            graph
-                .entry((*from).to_owned())
-                .or_default()
-                .insert((*to).to_owned());
+            let imports = graph.entry((*from).to_owned()).or_default();
+            imports.insert((*to).to_owned());
         }
         graph
     };
-    assert!(circles(graph(&[("a", "b"), ("b", "c"), ("a", "c")])).is_empty());
-    let left = circles(graph(&[("a", "b"), ("b", "c"), ("c", "b"), ("c", "d")]));
-    assert_eq!(left.keys().collect::<Vec<_>>(), ["a", "b", "c"]);
+    assert!(circle(&graph(&[("a", "b"), ("b", "c"), ("a", "c")])).is_empty());
+    let with_circle = graph(&[("a", "b"), ("b", "c"), ("c", "b"), ("c", "d")]);
+    assert_eq!(circle(&with_circle), BTreeSet::from(["b", "c"]));
+}
+
+#[test]
+fn a_circle_across_folders_is_found_at_any_depth() {
+    let found = |files: &[(&str, &str)]| {
+        let files = files.iter();
+        let files = files.map(|(file, code)| (module_of(Path::new(file)), (*code).to_owned()));
+        circles_across_folders(&graphs(&files.collect()))
+    };
+    let upper = ("lib.rs", "mod upper;");
+    let exports = (
+        "upper/mod.rs",
+        "mod one;\nmod two;\npub use two::{Two, sum as total};",
+    );
+    let two = ("upper/two.rs", "use crate::upper::one::One;");
+    let total = "fn f() { super::super::total() }";
+    let circle = ["upper: {\"one\", \"two\"}"];
+    assert_eq!(
+        found(&[upper, exports, two, ("upper/one/part.rs", total)]),
+        circle
+    );
+    // Neither a circle among the files of a folder nor one of a module and its parts.
+    assert!(found(&[upper, exports, two, ("upper/one.rs", "use super::Two;")]).is_empty());
+    let part = ("upper/one/part.rs", "use super::One;");
+    assert!(found(&[upper, exports, two, ("upper/one.rs", "use part::f;"), part]).is_empty());
+    // A circle of top-level modules, each a file.
+    let (a, b) = (("a.rs", "use crate::b::B;"), ("b.rs", "use super::a::A;"));
+    assert_eq!(found(&[a, b]), [": {\"a\", \"b\"}"]);
 }
 
 #[test]
 fn every_way_to_name_a_module_is_seen() {
-    let names = |code, module: &[&str]| {
-        let module: Vec<String> = module.iter().map(|part| (*part).to_owned()).collect();
-        imports(code, &module).into_iter().collect::<Vec<_>>()
+    let module = |path: &[&str]| {
+        path.iter()
+            .map(|part| (*part).to_owned())
+            .collect::<Vec<_>>()
     };
-    let code = "use crate::one::A;\nuse crate::{two::{x, y}, three::B};\nlet x = crate::four($crate::five);";
-    assert_eq!(names(code, &["own"]), ["four", "one", "three", "two"]);
+    let names = |code, path: &[&str]| {
+        let paths = imports(code, &module(path)).into_iter();
+        paths.map(|path| path.join(" ")).collect::<Vec<_>>()
+    };
+    let code = "use crate::one::A;\nuse crate::{two::{x, self, y as z}, three::*};\nlet x = crate::four::<T>($crate::five);";
+    let expected = ["four", "one A", "three", "two", "two x", "two y"];
+    assert_eq!(names(code, &["own"]), expected);
     let code = "use super::{one, two::{A, B}};\nuse super::super::three::C;";
-    assert_eq!(names(code, &["own"]), ["one", "three", "two"]);
-    assert_eq!(names(code, &["own", "part"]), ["own", "three"]);
-    assert_eq!(names(code, &["own", "part", "file"]), ["own"]);
+    assert_eq!(names(code, &["own"]), ["one", "three C", "two A", "two B"]);
+    let expected = ["own one", "own two A", "own two B", "three C"];
+    assert_eq!(names(code, &["own", "part"]), expected);
+    let code = "use super::one;\nsuper::super::two();";
+    assert_eq!(
+        names(code, &["own", "part", "file"]),
+        ["own part one", "own two"]
+    );
     assert_eq!(
         module_of(Path::new("a/mod.rs")),
         module_of(Path::new("a.rs"))
     );
-    let code = "mod one;\npub use one::A;\npub(crate) use two::{B, b};\n#[cfg(x)]\npub use three::part::{C,\n    c,\n};";
-    let exports: Vec<_> = re_exports(code)
-        .into_iter()
-        .map(|(name, module)| format!("{module} {name}"))
+    let code = "mod one;\npub use one::A;\npub(crate) use crate::two::{B, b as c};\n#[cfg(x)]\npub use super::three::{C,\n    d,\n};";
+    let exports = re_exports(code, &module(&["own"])).into_iter();
+    let exports: Vec<_> = exports
+        .map(|(name, path)| format!("{} = {}", name.join(" "), path.join(" ")))
         .collect();
-    assert_eq!(
-        exports,
-        [
-            "one A",
-            "two B",
-            "two b",
-            "three part",
-            "three C",
-            "three c"
-        ]
-    );
+    let expected = [
+        "own A = own one A",
+        "own B = two B",
+        "own c = two b",
+        "own C = three C",
+        "own d = three d",
+    ];
+    assert_eq!(exports, expected);
 }
 
 #[test]

@@ -8,7 +8,7 @@
 //! is too small; the bounds of an interior point give enough weight.
 
 use super::QuadraticTerm;
-use crate::optimizer::linear_model::RowStage;
+use crate::optimizer::stages::RowStage;
 use crate::optimizer::{Budget, LinearModel, WIDTH_MAX};
 
 /// Smallest weight of an unknown, as a share of the information about it in the rows.

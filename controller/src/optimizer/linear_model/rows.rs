@@ -1,6 +1,6 @@
 //! Rows of a linear model.
 
-use super::RowStage;
+use crate::optimizer::RowStage;
 
 /// Values with their derivatives.
 #[derive(Debug)]

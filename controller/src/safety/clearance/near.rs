@@ -6,10 +6,11 @@ use core::cell::Cell;
 use nalgebra::Vector3;
 
 use crate::robot::{BendRates, Body, Closest, Nearest, Obstacle, Robot, SECTIONS_MAX};
+use crate::safety::stopping::{StoppingPath, fastest};
 
+use super::ClearanceGuard;
 use super::body_pose::BodyPose;
 use super::watched::{CAPSULE_COST, PredictedObstacle, WatchedObstacle, least_m};
-use super::{ClearanceGuard, StoppingPath, fastest};
 
 /// Obstacles that are checked individually. If more are within reach, the robot stands still.
 pub(in crate::safety) const NEAR_MAX: usize = 64;

@@ -1,11 +1,12 @@
 //! Check of a command along its whole stopping path: exact at its ends, by bounds of the travel between.
 
 use crate::robot::{BendRates, SECTIONS_MAX};
+use crate::safety::stopping::{StoppingPath, fastest};
 
+use super::ClearanceGuard;
 use super::body_pose::BodyPose;
 use super::near::{Margins, NEAR_MAX, NearObstacles, PathPoint, Sections, ends_s, sections};
 use super::watched::{PredictedObstacle, WatchedObstacle};
-use super::{ClearanceGuard, StoppingPath, fastest};
 
 /// Bisections of a part of the path before it counts as violated.
 const DEPTH: u32 = 9;

@@ -1,10 +1,11 @@
 //! Corrections that would end at rest: all half-spaces are recomputed from one linearisation.
 
 use super::near::REGION_COST;
-use super::{ClearanceGuard, Origins, REST_SHARE, faster, fastest, scaled_by, shortened_to};
+use super::{ClearanceGuard, Origins, REST_SHARE, faster};
 use crate::robot::BendRates;
 use crate::safety::Limits;
 use crate::safety::projection::Region;
+use crate::safety::stopping::{fastest, scaled_by, shortened_to};
 
 /// Settings of the relinearisations, in order. Slow rates come first: along a short path clearances are less
 /// curved, obstacles move less, and a check costs less.

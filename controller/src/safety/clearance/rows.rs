@@ -2,10 +2,11 @@
 
 use crate::robot::{BendRates, COORDINATES_MAX, Nearest};
 use crate::safety::projection::Region;
+use crate::safety::stopping::fastest;
 
 use super::near::{NearObstacles, PathPoint, ROUNDING_M, ROW_COST, SOLVE_COST, ends_s, sections};
 use super::watched::WatchedObstacle;
-use super::{ClearanceGuard, Linearisation, fastest};
+use super::{ClearanceGuard, Linearisation};
 
 /// Extra clearance that a correction asks for \[m\], so that rounding does not undo it.
 const EXTRA_M: f64 = 1e-9;

@@ -9,8 +9,8 @@
 
 use super::Limits;
 use crate::robot::BendRates;
-use crate::safety::clearance::{Stopping, fastest};
 use crate::safety::projection::Region;
+use crate::safety::stopping::{Stopping, fastest};
 
 /// Largest number of tried values of f.
 const TRIED_MAX: usize = 16;

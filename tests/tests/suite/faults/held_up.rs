@@ -6,12 +6,13 @@ use cdcr_client::{CommandStream, Connection, monotonic_ns};
 use cdcr_shared_types::Command;
 use cdcr_shared_types::codes::{Mode, Reason};
 use cdcr_tests::record::largest;
+use cdcr_tests::threads::{Hung, find_thread};
 use cdcr_tests::{Daemon, TIMEOUT, until_undisturbed, wait_record, wait_until};
 use rustix::process::Signal;
 
 use crate::faults::reference::{POINTS_MAX, WINDOW_PERIODS, track};
 use crate::faults::robot::Robot;
-use crate::faults::threads::{Hung, VALID_FOR_NS, find_thread};
+use crate::faults::threads::VALID_FOR_NS;
 
 /// Stops the exchange for `held_up` while a client renews its lease regularly: the robot follows its
 /// reference all the time.

@@ -5,68 +5,13 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{ConnectError, Connection, FeedEnd, FeedEvent, LinkError, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_test_skip::{Need, skip};
+use cdcr_tests::managed::Managed;
+use cdcr_tests::threads::Hung;
 use cdcr_tests::{Daemon, ROBOT, TIMEOUT, ask_for, paper_line, tracked, wait_status, wait_until};
-use nix::sys::ptrace;
-use nix::sys::wait::{WaitPidFlag, waitpid};
-use nix::unistd::Pid;
 use rustix::process::Signal;
 
 use crate::faults::robot::Robot;
 use crate::faults::trail::{Trail, is, rests};
-use crate::system::service_manager::Managed;
-
-/// A thread of another process, stopped until this is dropped.
-pub(crate) struct Hung {
-    thread: Pid,
-}
-
-impl Hung {
-    /// Stops the thread of `process` with this name. `None`, with a message, if the system does not permit
-    /// it.
-    pub(crate) fn new(process: u32, name: &str) -> Option<Self> {
-        let thread = Pid::from_raw(thread_of(process, name));
-        if let Err(cause) = ptrace::seize(thread, ptrace::Options::empty()) {
-            skip(
-                Need::Ptrace,
-                format!("the thread {name} cannot be stopped: {cause}"),
-            );
-            return None;
-        }
-        ptrace::interrupt(thread).unwrap();
-        waitpid(thread, Some(WaitPidFlag::__WALL)).unwrap();
-        Some(Self { thread })
-    }
-
-    /// Detaches a thread that died with its process, so that the process can be waited for.
-    pub(crate) fn reap(&self) {
-        let _ = waitpid(
-            self.thread,
-            Some(WaitPidFlag::__WALL | WaitPidFlag::WNOHANG),
-        );
-    }
-}
-
-impl Drop for Hung {
-    fn drop(&mut self) {
-        // A dead thread cannot be detached.
-        let _ = ptrace::detach(self.thread, None);
-        self.reap();
-    }
-}
-
-fn thread_of(process: u32, name: &str) -> i32 {
-    find_thread(process, name).unwrap_or_else(|| panic!("process {process} has no thread {name}"))
-}
-
-pub(crate) fn find_thread(process: u32, name: &str) -> Option<i32> {
-    let entries = std::fs::read_dir(format!("/proc/{process}/task")).unwrap();
-    entries.flatten().find_map(|entry| {
-        let comm = std::fs::read_to_string(entry.path().join("comm")).ok()?;
-        let id = entry.file_name().to_str()?.parse().ok()?;
-        (comm.trim() == name).then_some(id)
-    })
-}
 
 /// Longer than a machine keeps a thread from running beside others.
 const WATCHDOG: Duration = Duration::from_millis(500);

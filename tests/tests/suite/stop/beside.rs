@@ -1,15 +1,15 @@
 //! Conditions that could prevent a stop.
 
-use std::io::{ErrorKind, PipeReader, PipeWriter, Write};
+use std::io::PipeReader;
 use std::os::fd::OwnedFd;
 use std::os::unix::net::{UnixDatagram, UnixStream};
 
-use cdcr_tests::Daemon;
-use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl, fstat};
+use cdcr_tests::threads::Hung;
+use cdcr_tests::{Daemon, unread_pipe};
+use rustix::fs::fstat;
 
 use super::access::kill_a_victim;
 use super::place::empty;
-use crate::faults::threads::Hung;
 use crate::own_mounts::{Filled, has_own_mounts, mount, mount_memory};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -147,19 +147,4 @@ impl Beside {
     pub(super) fn may_have_room(self) -> bool {
         matches!(self, Self::FullMemory | Self::FewInodes)
     }
-}
-
-/// A pipe without a reader that accepts nothing more; a further writer blocks.
-pub(crate) fn unread_pipe() -> (PipeReader, PipeWriter) {
-    let (reader, mut writer) = std::io::pipe().unwrap();
-    let flags = fcntl_getfl(&writer).unwrap();
-    fcntl_setfl(&writer, flags | OFlags::NONBLOCK).unwrap();
-    let full = loop {
-        if let Err(error) = writer.write(&[b' '; 4096]) {
-            break error;
-        }
-    };
-    assert_eq!(full.kind(), ErrorKind::WouldBlock, "{full}");
-    fcntl_setfl(&writer, flags).unwrap();
-    (reader, writer)
 }

@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use cdcr_client::Connection;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::record::largest;
+use cdcr_tests::threads::Hung;
 use cdcr_tests::{
     Daemon, ROBOT, STALL_TOLERANT, TIMEOUT, ask_for, refused, text, wait_status, wait_until,
 };
 use rustix::process::Signal;
 
 use crate::faults::robot::Robot;
-use crate::faults::threads::Hung;
 use crate::faults::trail::{Trail, is};
 use crate::stop::place::empty;
 

@@ -5,6 +5,7 @@ use std::time::Duration;
 use cdcr_client::RequestError;
 use cdcr_shared_types::SolverSettings;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
+use cdcr_tests::threads::{Hung, find_thread};
 use cdcr_tests::{
     Daemon, STALL_TOLERANT, TIMEOUT, ask_for, refused, text, until_undisturbed, wait_status,
     wait_until,
@@ -12,7 +13,6 @@ use cdcr_tests::{
 use rustix::process::Signal;
 
 use crate::faults::robot::Robot;
-use crate::faults::threads::{Hung, find_thread};
 use crate::faults::trail::{assert_ramps_to_rest, is, rests};
 
 #[test]

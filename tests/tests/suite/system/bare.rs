@@ -5,10 +5,9 @@ use std::process::Command;
 use std::time::Duration;
 
 use cdcr_shared_types::codes::LateCause;
+use cdcr_tests::threads::find_thread;
 use cdcr_tests::{Place, Program, text, wait_until};
 use rustix::process::Signal;
-
-use crate::faults::threads::find_thread;
 
 const HEADER: &str = "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,run_delay_ns,\
                       page_faults,cause";

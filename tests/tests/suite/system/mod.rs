@@ -25,7 +25,7 @@ mod recording;
 mod replay;
 mod report;
 mod scenes;
-pub(crate) mod service_manager;
+mod service_manager;
 mod silence;
 mod stalling_driver;
 mod strangers;

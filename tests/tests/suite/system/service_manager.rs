@@ -1,78 +1,8 @@
 //! Notifications of `cdcrd run` to the service manager that started it.
 
-use std::path::Path;
-use std::process::Stdio;
-
-use cdcr_testbed::subject::service_manager::ServiceManager;
-use cdcr_tests::{Place, Program, Running, wait_until};
+use cdcr_tests::managed::{Managed, heard_by, listen};
+use cdcr_tests::{Place, Program, Running, unread_pipe};
 use rustix::process::Signal;
-
-use crate::stop::beside::unread_pipe;
-
-/// A daemon whose service manager expects a watchdog message five times a second.
-pub(crate) struct Managed {
-    pub(crate) daemon: Running,
-    manager: ServiceManager,
-    pub(crate) place: Place,
-}
-
-impl Managed {
-    pub(crate) fn start() -> Self {
-        Self::start_onto(Stdio::null())
-    }
-
-    /// Starts the daemon with this standard error.
-    fn start_onto(stderr: impl Into<Stdio>) -> Self {
-        let place = Place::new();
-        let manager = listen(place.folder(), "notify");
-        let configuration = place.write("robot.toml", "[cycle]\nmiss_limit = 1000000\n");
-        let mut command = place.command("cdcrd");
-        command
-            .args(["run", "--config"])
-            .arg(configuration)
-            .env("WATCHDOG_USEC", "200000")
-            .env_remove("WATCHDOG_PID")
-            .env("RUST_LOG", "debug")
-            .stdout(Stdio::null())
-            .stderr(stderr);
-        Self {
-            daemon: Running::start(manager.manage(&mut command)),
-            manager,
-            place,
-        }
-    }
-
-    /// All received lines, up to a line that starts with `what`.
-    fn hear_until(&self, what: &str) -> Vec<String> {
-        let mut heard = Vec::new();
-        wait_until(what, || {
-            heard.extend(heard_by(&self.manager));
-            heard.iter().any(|line| line.starts_with(what))
-        });
-        heard
-    }
-
-    /// Number of watchdog messages since the last call.
-    pub(crate) fn fed(&self) -> usize {
-        let heard = heard_by(&self.manager);
-        heard.iter().filter(|line| *line == "WATCHDOG=1").count()
-    }
-
-    fn end(&mut self) {
-        self.daemon.signal(Signal::TERM);
-        assert!(self.daemon.wait(String::new).success());
-    }
-}
-
-fn listen(folder: &Path, name: &str) -> ServiceManager {
-    ServiceManager::listen(folder.join(name)).unwrap()
-}
-
-/// The lines received since the last call.
-fn heard_by(manager: &ServiceManager) -> Vec<String> {
-    let messages = std::iter::from_fn(|| Some(manager.hear()).filter(|lines| !lines.is_empty()));
-    messages.flatten().collect()
-}
 
 #[test]
 fn the_service_manager_is_notified_from_ready_to_stopping() {
