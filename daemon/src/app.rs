@@ -294,7 +294,7 @@ fn spawn_exchange(
     kept: KeptObstacles,
 ) -> Result<Started> {
     let realtime = &validated.config.realtime;
-    let plan = realtime.thread_plan(realtime.exchange_priority);
+    let plan = start::plan(realtime, realtime.exchange_priority);
     let (validated, shared) = (validated.clone(), Arc::clone(shared));
     Started::spawn("cdcr-exchange", move |stage| {
         // iceoryx2's ports stay in the thread that created them.
@@ -323,7 +323,7 @@ fn spawn_reporter(
     shared: &Arc<Shared>,
     daemon_id: u64,
 ) -> Result<Started> {
-    let plan = validated.config.realtime.plan_beside();
+    let plan = start::plan_beside(&validated.config.realtime);
     let (validated, shared) = (validated.clone(), Arc::clone(shared));
     Started::spawn("cdcr-reporter", move |stage| {
         let built = services::node(&validated.location).and_then(|node| {
@@ -352,7 +352,7 @@ fn spawn_cycle(
     hook: CycleThreadHook,
 ) -> Result<Started> {
     let realtime = &validated.config.realtime;
-    let plan = realtime.thread_plan(realtime.cycle_priority);
+    let plan = start::plan(realtime, realtime.cycle_priority);
     let shared = Arc::clone(shared);
     let cycles_to_rest = cycles_to_rest(validated);
     Started::spawn("cdcr-cycle", move |stage| {

@@ -118,7 +118,7 @@ fn spawn(
     mut recorder: Recorder,
     ending: &Arc<AtomicBool>,
 ) -> Result<Started<Recorder>> {
-    let plan = config.realtime.thread_plan(config.realtime.cycle_priority);
+    let plan = start::plan(&config.realtime, config.realtime.cycle_priority);
     let ending = Arc::clone(ending);
     Started::spawn("cdcr-cycle", move |stage| {
         let mut deltas = SchedulerDeltas::new(Some(this_thread()));

@@ -10,7 +10,7 @@
 //!
 //! | module | knows | must not know |
 //! |---|---|---|
-//! | [`config`] | TOML, ranges | threads, messages |
+//! | [`config`] | TOML, ranges, place of the services | threads, messages |
 //! | [`cycle`] | the order of the steps | iceoryx2, files, the system |
 //! | [`core_budget`] | time of the solver in a period | source of the measured costs |
 //! | [`obstacles`] | obstacles around the robot | their messages |
@@ -21,7 +21,7 @@
 //! | [`services`] | iceoryx2: services, ports, their memory | meaning of the messages |
 //! | [`link`] | interface of a cycle to its robot | messages |
 //! | [`exchange`] | messages, clients | computation of a cycle |
-//! | [`reporter`] | telemetry, causes of late cycles | references, obstacles, requests |
+//! | [`reporter`] | records, telemetry, causes of late cycles | a way to act on the cycle or the exchange |
 //! | [`rt`] | clock, grid, privileges, causes of late threads | the robot, the configuration |
 //! | [`service_manager`] | notifications to systemd | computation of a cycle |
 //! | [`log`] | destination and rate of the log | content of the log |

@@ -12,7 +12,8 @@
 //! priority helps. Only this thread waits for it, so monitoring clients delay neither inputs nor commands.
 //! The reporter runs outside the core of the cycle, above ordinary tasks.
 //!
-//! Invariant: it knows no references, obstacles, requests or drivers.
+//! Invariant: it only reads records and reports; it sends nothing to the cycle or the exchange, but returns their
+//! memory.
 
 mod measured_error;
 

@@ -20,7 +20,9 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use crate::config::{Config, RealtimeConfig, RealtimeMode, ns};
 use crate::exit::{Ended, ExitCause};
 use crate::rt::clock::Clock;
-use crate::rt::privileges::{ThreadPlan, lock_memory, prevent_deep_sleep, stay_off_core};
+use crate::rt::privileges::{
+    ThreadPlan, last_core, lock_memory, prevent_deep_sleep, stay_off_core,
+};
 use crate::rt::schedule::Schedule;
 
 /// Time limit for a thread to get ready.
@@ -73,6 +75,27 @@ pub(crate) fn flag_of(signals: &[i32]) -> Result<Arc<AtomicBool>> {
     Ok(flag)
 }
 
+/// The core of the real-time threads: the configured one, or else the last one that the process may use.
+pub(crate) fn core(config: &RealtimeConfig) -> Option<usize> {
+    usize::try_from(config.core).ok().or_else(last_core)
+}
+
+/// The plan of a real-time thread with `priority`; an ordinary thread if real time is off.
+pub(crate) fn plan(config: &RealtimeConfig, priority: i32) -> ThreadPlan {
+    if config.mode == RealtimeMode::Off {
+        return ThreadPlan::default();
+    }
+    ThreadPlan::real_time(core(config), priority)
+}
+
+/// The plan of a thread that works for the real-time threads, off their core.
+pub(crate) fn plan_beside(config: &RealtimeConfig) -> ThreadPlan {
+    if config.mode == RealtimeMode::Off {
+        return ThreadPlan::default();
+    }
+    ThreadPlan::beside(core(config))
+}
+
 /// Properties that the system granted to the real-time threads. Prevents deep sleep of the processor until
 /// dropped.
 #[derive(Debug)]
@@ -100,7 +123,7 @@ pub(crate) fn arm<T>(config: &RealtimeConfig, threads: &[&Started<T>]) -> Result
         bail!(not_granted(missing));
     }
     let pinned = missing & (realtime::PINNED | realtime::OFF) == 0;
-    let core = config.core().filter(|_| pinned);
+    let core = core(config).filter(|_| pinned);
     log_missing_privileges(missing, core);
     stay_off_core(core);
     Ok(Armed {

@@ -3,8 +3,9 @@
 //! The public package is `python/cdcr`, described in `docs/python.md`; the documentation of each class is its
 //! docstring. The type stubs `cdcr/_cdcr.pyi` are generated from the signatures here.
 //!
-//! Invariant: nothing here computes control or knows the fields of a message. Every wait releases the
-//! interpreter's lock, and takes it every 50 ms to check for signals.
+//! Invariant: nothing here computes control. Messages become arrays, and back, by their declared fields (`wire`); code
+//! here names fields only to send (driver, obstacles, points) and to see what a daemon made of it. Every wait releases
+//! the interpreter's lock, and takes it every 50 ms to check for signals.
 
 #![forbid(unsafe_code)]
 #![allow(

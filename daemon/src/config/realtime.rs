@@ -1,7 +1,6 @@
 use serde::{Deserialize, Serialize};
 
 use super::{LinkKind, ns};
-use crate::rt::privileges::{ThreadPlan, last_core};
 
 /// How much real time is asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -64,26 +63,5 @@ impl RealtimeConfig {
             self.spin_us
         };
         ns(spin_us * 1e-3)
-    }
-
-    /// The core of the real-time threads: the configured one, or else the last one that the process may use.
-    pub fn core(&self) -> Option<usize> {
-        usize::try_from(self.core).ok().or_else(last_core)
-    }
-
-    /// The plan of a real-time thread with `priority`; an ordinary thread if real time is off.
-    pub fn thread_plan(&self, priority: i32) -> ThreadPlan {
-        if self.mode == RealtimeMode::Off {
-            return ThreadPlan::default();
-        }
-        ThreadPlan::real_time(self.core(), priority)
-    }
-
-    /// The plan of a thread that works for the real-time threads, off their core.
-    pub fn plan_beside(&self) -> ThreadPlan {
-        if self.mode == RealtimeMode::Off {
-            return ThreadPlan::default();
-        }
-        ThreadPlan::beside(self.core())
     }
 }

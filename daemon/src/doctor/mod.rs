@@ -25,6 +25,7 @@ use probe::Probe;
 use sample::Load;
 
 use crate::config::{RealtimeConfig, RealtimeMode, Validated};
+use crate::start;
 use crate::system::{
     CPU, CoreSet, Reading, System, Unreadable, daemon_process, unreadable, with_core,
 };
@@ -115,7 +116,7 @@ pub(crate) fn examine(validated: &Validated) -> DoctorReport {
     let validated = with_core(validated);
     let mut ours = vec![std::process::id()];
     ours.extend(daemon_process(&system, &validated));
-    let core = validated.config.realtime.core().ok_or_else(no_core);
+    let core = start::core(&validated.config.realtime).ok_or_else(no_core);
     let observed = Observations {
         load: core.and_then(|core| Load::watch(&system, core, &ours)),
         probe: Probe::new(&system, &validated),
@@ -144,7 +145,7 @@ impl Observations {
 
     /// The core of the real-time threads.
     fn core(&self) -> Reading<usize> {
-        self.realtime().core().ok_or_else(no_core)
+        start::core(self.realtime()).ok_or_else(no_core)
     }
 
     fn load(&self) -> Reading<&Load> {

@@ -13,6 +13,7 @@ use rustix::thread::{disable_transparent_huge_pages, transparent_huge_pages_are_
 use crate::config::Validated;
 use crate::instance::is_in_memory;
 use crate::rt::sys;
+use crate::start;
 use crate::system::{System, can_be_pinned};
 
 #[derive(Debug, Clone)]
@@ -53,7 +54,7 @@ impl Probe {
         let deep_sleep_lock = OpenOptions::new().write(true).open(deep_sleep);
         Self {
             fifo: try_fifo(realtime.cycle_priority),
-            pinned: realtime.core().is_some_and(can_be_pinned),
+            pinned: start::core(realtime).is_some_and(can_be_pinned),
             memory_lock: reported(mlockall(MlockAllFlags::CURRENT).and_then(|()| munlockall())),
             no_huge_pages: reported(try_no_huge_pages()),
             rtprio_max: getrlimit(Resource::Rtprio).current,
