@@ -54,6 +54,8 @@ controller/src | iceoryx2 | the mathematics knows no shared memory
 controller/src | std::time | the mathematics knows no clock
 controller/src | std::thread | the mathematics starts no thread
 controller/src | std::fs | the mathematics reads no file
+controller/src | tracing | the mathematics does not log
+controller/src | log:: | the mathematics does not log
 controller/src/optimizer | crate::robot | a minimiser knows no robot
 controller/src/safety | crate::nmpc | the safety checks know no optimisation
 controller/src/safety | crate::optimizer | the safety checks know no optimisation
@@ -96,6 +98,7 @@ testbed/process/src | cdcr_client | who starts programs is no client
 testbed/src | cdcr_controller | a load knows no mathematics
 client/src | cdcr_daemon | a client knows messages, not the daemon
 python/src | cdcr_daemon | a client knows messages, not the daemon
+c/src | cdcr_daemon | a client knows messages, not the daemon
 view/src | cdcr_daemon | a client knows messages, not the daemon
 testbed/src | cdcr_daemon | the daemon is started as a program
 bench/src | cdcr_daemon | the daemon is measured as a program
@@ -106,6 +109,26 @@ bench/src/solver | csv:: | a dataset writes the results
 daemon/src | cdcr_client | the daemon knows messages, not its clients
 daemon/src/handover | iceoryx2 | what threads exchange knows no shared memory
 daemon/src/bare | iceoryx2 | the bare loop knows no shared memory
+daemon/src/bare | cdcr_controller | the bare loop knows no robot
+daemon/src/exchange | cdcr_controller::nmpc | the exchange knows no computation of a cycle
+daemon/src/exchange | crate::cycle | the exchange knows no computation of a cycle
+daemon/src/supervisor | crate::cycle | the supervisor knows no control path
+daemon/src/supervisor | crate::exchange | the supervisor knows no control path
+daemon/src/cli | crate::cycle | the command line knows no cycle
+daemon/src/convert | std::time | a conversion knows no time of sending
+daemon/src/convert | crate::services | a conversion knows no sender
+daemon/src/services | cdcr_controller | services know no meaning of a message
+daemon/src/service_manager | cdcr_controller | notifications know no computation of a cycle
+client/src/replay | std::fs | a replay knows no file
+client/src/replay | monotonic_ns | a replay knows no clock
+client/src/replay | Location | a replay knows no daemon
+client/src/channels | std::fs | a channel knows no file
+client/src/channels | std::net | a channel knows no socket
+client/src/trajectory | monotonic_ns | a curve knows no clock
+client/src/trajectory | Connection | a curve knows no daemon
+client/src/bin/cdcrctl/picture | cdcr_shared_types | a picture knows no message
+bench/src/environment | hostname | a result does not name its machine
+testbed/src/system | hostname | a result does not name its machine
 ";
 
 fn workspace() -> &'static Path {
@@ -197,21 +220,67 @@ fn a_folder_of_the_controller_sees_only_those_above_it() {
     }
 }
 
-#[test]
-fn no_crate_but_the_tests_depends_on_a_program() {
-    let text = |path: String| std::fs::read_to_string(workspace().join(path)).unwrap();
-    let root = text("Cargo.toml".to_owned());
+/// A file at the root of the workspace.
+fn text(path: &str) -> String {
+    std::fs::read_to_string(workspace().join(path)).unwrap()
+}
+
+/// Each package of the workspace by its name without `cdcr-`, with its manifest.
+fn packages() -> Vec<(String, String)> {
+    let root = text("Cargo.toml");
     let members = root.lines().find(|line| line.starts_with("members = "));
     let members: Vec<&str> = members.unwrap().split('"').skip(1).step_by(2).collect();
     assert!(members.len() > 10, "{members:?}");
-    for member in members.into_iter().filter(|member| *member != "tests") {
-        let manifest = text(format!("{member}/Cargo.toml"));
-        let dependencies = manifest
+    let package = |member| {
+        let manifest = text(&format!("{member}/Cargo.toml"));
+        let (_, name) = manifest.split_once("name = \"cdcr-").unwrap();
+        (name.split('"').next().unwrap().to_owned(), manifest)
+    };
+    members.into_iter().map(package).collect()
+}
+
+/// Our packages in the lines of a manifest.
+fn ours<'a>(lines: impl Iterator<Item = &'a str>) -> BTreeSet<&'a str> {
+    let lines = lines.filter_map(|line| line.strip_prefix("cdcr-"));
+    lines
+        .map(|line| line.split(['.', ' ']).next().unwrap())
+        .collect()
+}
+
+#[test]
+fn no_crate_but_the_tests_depends_on_a_program() {
+    for (name, manifest) in packages().iter().filter(|(name, _)| name != "tests") {
+        let ours = ours(manifest.lines());
+        let found: Vec<_> = PROGRAMS
+            .iter()
+            .filter(|name| ours.contains(**name))
+            .collect();
+        assert!(found.is_empty(), "{name}: {found:?}");
+    }
+}
+
+#[test]
+fn the_page_shows_what_each_crate_depends_on() {
+    let page = text("ARCHITECTURE.md");
+    let (_, table) = page.split_once("\nDependencies among our crates").unwrap();
+    let (table, _) = table.split_once("\n###").unwrap();
+    let rows = table.lines().filter_map(|line| line.split_once(" → "));
+    let shown: BTreeMap<&str, BTreeSet<&str>> = rows
+        .map(|(name, rest)| {
+            let names = rest.split("  ").next().unwrap().split(", ");
+            let names = names.map(str::trim).filter(|name| *name != "-");
+            (name.trim(), names.collect())
+        })
+        .collect();
+    let packages = packages();
+    assert_eq!(shown.len(), packages.len(), "{:?}", shown.keys());
+    for (name, manifest) in packages.iter().filter(|(name, _)| name != "tests") {
+        let lines = manifest
             .lines()
-            .filter_map(|line| line.strip_prefix("cdcr-"));
-        let names = dependencies.map(|line| line.split(['.', ' ']).next().unwrap());
-        let found: Vec<&str> = names.filter(|name| PROGRAMS.contains(name)).collect();
-        assert!(found.is_empty(), "{member}: {found:?}");
+            .skip_while(|line| *line != "[dependencies]")
+            .skip(1);
+        let ours = ours(lines.take_while(|line| !line.starts_with('[')));
+        assert_eq!(shown.get(&**name), Some(&ours), "{name}");
     }
 }
 
@@ -353,12 +422,10 @@ fn no_file_is_too_long() {
         for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
             let name = path.file_name().unwrap().to_str().unwrap();
+            let end = path.extension().and_then(|end| end.to_str());
             if path.is_dir() && name != "target" && !name.starts_with('.') {
                 folders.push(path);
-            } else if path
-                .extension()
-                .is_some_and(|end| end == "rs" || end == "py")
-            {
+            } else if let Some("rs" | "py") = end {
                 let lines = std::fs::read_to_string(&path).unwrap().lines().count();
                 assert!(lines <= LINES_MAX, "{} has {lines} lines", path.display());
                 count += 1;
