@@ -65,8 +65,7 @@ impl Benchmark for BudgetOptions {
         let mut dataset = Dataset::new("budget", include_str!("budget.toml"));
         dataset.add_rounds(CASES, study::run(self.rounds, &cases, progress)?.get(CASES));
         dataset.fact("rounds", self.rounds);
-        let panels = panels(dataset.rows(CASES));
-        dataset.plot("budget-overrun", &panels)?;
+        dataset.plot("budget-overrun", &panels(dataset.rows(CASES)))?;
         Ok(dataset)
     }
 }

@@ -22,12 +22,11 @@ pub struct Causes(pub [u64; LateCause::COUNT]);
 impl Causes {
     /// A cycle without a known cause counts as a stall.
     pub fn count(&mut self, cause: LateCause) {
-        let cause = if cause == LateCause::None {
-            Stall
-        } else {
-            cause
+        let counted = match cause {
+            LateCause::None => Stall,
+            known => known,
         };
-        self.0[cause.code() as usize] += 1;
+        self.0[counted.code() as usize] += 1;
     }
 
     fn get(&self, cause: LateCause) -> u64 {

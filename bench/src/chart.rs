@@ -29,17 +29,13 @@ pub(crate) fn of_rows<'a>(
 /// A curve for each solver, in its colour; those without points are left out.
 pub(crate) fn of_solvers(curve: impl Fn(SolverKind, RGBColor) -> Curve) -> Vec<Curve> {
     let solvers = SolverKind::ALL.into_iter().zip([GREEN, ORANGE, BLUE]);
-    let mut curves: Vec<Curve> = solvers
-        .map(|(solver, colour)| curve(solver, colour))
-        .collect();
-    curves.retain(|curve| !curve.is_empty());
-    curves
+    let curves = solvers.map(|(solver, colour)| curve(solver, colour));
+    curves.filter(|curve| !curve.is_empty()).collect()
 }
 
 /// Share of longer times over each time \[µs\], with one step for each bucket of the histogram.
 pub(crate) fn longer(times_ns: &Histogram<u64>) -> Vec<Point> {
-    let total = times_ns.len();
-    let mut left = total;
+    let (total, mut left) = (times_ns.len(), times_ns.len());
     let point = |value: IterationValue<u64>| {
         let us = (value.value_iterated_to() as f64 * 1e-3).max(SHORTEST_US);
         let share = left as f64 / total as f64;

@@ -140,9 +140,10 @@ impl Dataset {
         self.add_titled(table, &[], rows);
     }
 
-    /// Adds the rows of a declared table. Words replace the pairs of braces in its title.
+    /// Adds the rows of a declared table, with null for what was not measured. Words replace the pairs of braces in its title.
     pub fn add_titled(&mut self, table: &str, words: &[&str], rows: Vec<Value>) {
         let table = self.table(table);
+        debug_assert_eq!(table.unknown_key(&rows), None, "a key of no row");
         for word in words {
             table.title = table.title.replacen("{}", word, 1);
         }
@@ -220,6 +221,17 @@ impl Dataset {
 }
 
 impl Table {
+    /// The key of a column that no row has, neither with a value nor as null or in an object that is null.
+    fn unknown_key(&self, rows: &[Value]) -> Option<&str> {
+        let fields: Vec<_> = rows.iter().flat_map(flat).collect();
+        let is_known = |key: &str| {
+            let is_it = |name: &str, value: &Value| value.is_null() && key.starts_with(name);
+            (fields.iter()).any(|(name, value)| name == key || is_it(name, value))
+        };
+        let mut keys = self.columns.iter().map(|column| &*column.key);
+        keys.find(|key| !fields.is_empty() && !is_known(key))
+    }
+
     /// Every value of the rows, beginning with the columns of the table.
     fn csv(&self, rows: &[Value]) -> Result<String> {
         let rows: Vec<_> = rows.iter().map(flat).collect();
@@ -424,6 +436,9 @@ mod tests {
         let text = "Two\nname  mean s  more %        from\na     5.0e-9       -  1.0 to 2.5\nb, c       -    50.0           -\n";
         assert_eq!(dataset.text(), text);
         assert!(dataset.markdown().ends_with("| b, c | - | 50.0 | - |\n"));
+        let row = json!({ "name": "a", "times": null, "mores": 1, "ends": null });
+        let unknown = dataset.declaration.tables[0].unknown_key(&[row]);
+        assert_eq!(unknown, Some("more"));
     }
 
     #[test]

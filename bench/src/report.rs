@@ -264,8 +264,7 @@ impl BenchReport {
         let own = json!({ "tables": tables, "extent": extent, "failed": failed, "took_s": took_s });
         all.extend(own.as_object().cloned().unwrap_or_default());
         if !targets.note.is_empty() {
-            let note = targets.note.clone();
-            all.insert("targets_not_evaluated".to_owned(), note.into());
+            all.insert("targets_not_evaluated".to_owned(), targets.note.into());
         }
         let metrics = self.datasets().map(|dataset| &dataset.metrics[..]);
         self.start.json(all, &metrics.collect::<Vec<_>>().concat())

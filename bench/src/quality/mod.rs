@@ -43,18 +43,14 @@ pub struct QualityOptions {
 
 impl QualityOptions {
     fn variants(&self, course: Course, iteration_us: f64) -> Vec<Variant> {
-        let budgets = self.budgets_us.iter();
-        let budgets = budgets.map(|us| Varied::Budget(*us, iteration_us));
+        let budgets = (self.budgets_us.iter()).map(|us| Varied::Budget(*us, iteration_us));
         let swarms = self.swarms.iter();
         let swarms = swarms.map(|(particles, iterations)| Varied::Swarm(*particles, *iterations));
         let horizons = self.horizons.iter().map(|steps| Varied::Horizon(*steps));
         let varied = budgets.chain(swarms).chain(horizons);
         let all = varied.flat_map(|varied| SolverKind::ALL.map(|solver| (varied, solver)));
-        let has_effect = |(varied, solver): &(Varied, SolverKind)| {
-            !matches!(
-                (varied, solver),
-                (Varied::Swarm(..), SolverKind::GaussNewton)
-            )
+        let has_effect = |case: &(Varied, SolverKind)| {
+            !matches!(case, (Varied::Swarm(..), SolverKind::GaussNewton))
         };
         let variant = |(varied, solver)| Variant::new(course, solver, varied);
         all.filter(has_effect).map(variant).collect()

@@ -38,8 +38,7 @@ fn turns(only: Option<&str>) -> Vec<Turn> {
     let Declared { knobs, presets } = declared();
     let is_precise = |(name, _): &&(String, Turned)| name == "precise";
     let precise = presets.iter().find(is_precise).expect("a preset").1;
-    let presets = presets.into_iter();
-    let presets = presets.map(|(name, knobs)| (PRESET.to_owned(), name, None, knobs));
+    let presets = (presets.into_iter()).map(|(name, knobs)| (PRESET.to_owned(), name, None, knobs));
     let mut turns: Vec<Turn> = presets.collect();
     for (place, (key, _, values)) in knobs.into_iter().enumerate() {
         if only.is_none_or(|only| key.contains(only)) {

@@ -42,9 +42,8 @@ named! {
 
 /// `more_p50_us`: beyond the first kind, the controller without filters and models.
 pub fn measure(divisor: u64) -> Result<Vec<Value>> {
-    let kinds = Sensed::ALL.iter();
-    let rows = kinds.map(|sensed| sensed.measure(CYCLES / divisor));
-    let mut rows: Vec<Value> = rows.collect::<Result<_>>()?;
+    let rows = Sensed::ALL.map(|sensed| sensed.measure(CYCLES / divisor));
+    let mut rows: Vec<Value> = rows.into_iter().collect::<Result<_>>()?;
     let both_us = |row: &Value| number(row, "both_p50_us").context("no time was measured");
     let of_first_us = both_us(&rows[0])?;
     for row in &mut rows {

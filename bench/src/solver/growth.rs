@@ -37,8 +37,7 @@ pub fn series(cases: &[Value], solver: SolverKind, (_, per, _): Quantity) -> Vec
             && QUANTITIES.iter().all(|quantity| is_like(case, quantity))
     };
     let point = |case: &Value| Some((number(case, per)?, number(case, "p50_us")?));
-    let ours = cases.iter().filter(is_ours);
-    let mut points: Vec<_> = ours.filter_map(point).collect();
+    let mut points: Vec<_> = (cases.iter().filter(is_ours)).filter_map(point).collect();
     points.sort_by(|one, other| one.0.total_cmp(&other.0));
     points.dedup_by_key(|point| point.0);
     points

@@ -51,16 +51,15 @@ pub fn measure(divisor: u64) -> Result<Vec<Value>> {
 /// Mean errors of the same problems with shorter deadlines.
 pub fn measure_by_deadlines(divisor: u64) -> Result<Vec<Value>> {
     every(divisor, |problem| {
-        let mut by_deadlines = Vec::new();
-        let mut row = json!({});
+        let (mut by_deadlines, mut row) = (Vec::new(), json!({}));
         for deadline_us in DEADLINES_US {
             let end = End::AfterQuanta(1000 * deadline_us / QUANTUM_NS);
             let outcome = outcome(problem, &follow(problem, DEADLINE_CYCLES_MAX, end)?);
             row[format!("error_mm_{deadline_us}_us")] = outcome["mean_error_mm"].clone();
             by_deadlines.push(outcome);
         }
-        let spare_mm = each(&by_deadlines, "spare_clearance_mm").reduce(f64::min);
-        row["spare_clearance_mm"] = spare_mm.into();
+        let spares_mm = each(&by_deadlines, "spare_clearance_mm");
+        row["spare_clearance_mm"] = spares_mm.reduce(f64::min).into();
         Ok(row)
     })
 }
