@@ -148,8 +148,6 @@ pub mod shape {
     pub const CYLINDER: i32 = 3;
     /// A line through `points` with the width `scale.x`.
     pub const LINE_STRIP: i32 = 4;
-    /// A sphere with the diameters `scale` at each of `points`.
-    pub const SPHERE_LIST: i32 = 7;
     /// A text that faces the viewer, with the height `scale.z`.
     pub const TEXT_VIEW_FACING: i32 = 9;
 }

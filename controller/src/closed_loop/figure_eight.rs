@@ -180,11 +180,6 @@ impl FigureEight {
         })
     }
 
-    /// Distance of the tip from the reference at the start of a run (m).
-    pub fn begin_error_m(&self) -> f64 {
-        (self.robot.tip_position(&self.start) - self.sample(0.0).position_m).norm()
-    }
-
     /// One round with a robot that differs from its model, behind a driver. `obstacles` are those at the start.
     ///
     /// # Errors
@@ -333,4 +328,17 @@ impl FigureEightRun {
 
 fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_begins_where_the_figure_eight_does() {
+        let eight = FigureEight::new().unwrap();
+        let tip_m = eight.robot.tip_position(&eight.start);
+        assert!((tip_m - FigureEight::reference(0.0).position_m).norm() < 1e-6);
+    }
 }

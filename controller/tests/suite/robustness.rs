@@ -107,11 +107,6 @@ fn the_ideal_robot_is_on_its_reference() {
 }
 
 #[test]
-fn a_run_begins_where_the_figure_eight_does() {
-    assert!(FigureEight::new().unwrap().begin_error_m() < 1e-6);
-}
-
-#[test]
 fn noise_of_the_cables_is_averaged_and_does_not_rattle() {
     let noisy = driven(Flaws {
         noise_m: 3e-5,

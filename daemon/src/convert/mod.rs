@@ -1,6 +1,7 @@
 //! Wire ↔ domain. Conversion validates: its results are finite, in range and of a known kind.
 //!
-//! In the daemon, the only module that converts between a wire type and its domain counterpart.
+//! In the daemon, the only module that converts between a wire type and its domain counterpart. What has no counterpart is
+//! filled where it is sent: the status by the supervisor, counts and what belongs to the cycle by the reporter.
 
 mod enumerations;
 mod incoming;

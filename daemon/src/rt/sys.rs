@@ -92,7 +92,7 @@ thread_local! {
     static OPERATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
-/// The system allocator with a watch over the heap operations of one thread.
+/// The system allocator with a watch over the heap operations of one thread, for tests: a daemon does not use it.
 ///
 /// A test binary installs it with `#[global_allocator]` and watches the cycle thread.
 #[derive(Debug, Default)]
