@@ -17,7 +17,7 @@ use crate::experiment::Task;
 use crate::progress::Progress;
 use crate::quantiles::{histogram, quantiles};
 use crate::solver::Size;
-use crate::study::{self, Case};
+use crate::study::{self, StudyCase};
 
 pub const BUDGETS_US: [u64; 11] = [0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
 
@@ -55,7 +55,7 @@ impl Benchmark for BudgetOptions {
         let (ways, solves) = (Way::all()?, self.solves);
         let mut cases = Vec::new();
         for (way, us) in ways.iter().flat_map(|way| BUDGETS_US.map(|us| (way, us))) {
-            cases.push(Case {
+            cases.push(StudyCase {
                 table: CASES,
                 what: way.name.to_owned(),
                 expected_s: expected_s(us, solves),

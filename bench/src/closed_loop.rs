@@ -63,9 +63,9 @@ impl Sample {
 
 /// Every cycle of a run.
 #[derive(Debug, Clone)]
-pub struct Run(pub Vec<Sample>);
+pub struct SceneRun(pub Vec<Sample>);
 
-impl Run {
+impl SceneRun {
     pub fn mean_error_mm(&self) -> f64 {
         self.0.iter().map(Sample::error_mm).sum::<f64>() / self.0.len() as f64
     }
@@ -106,7 +106,7 @@ pub fn timed_solve(nmpc: &mut Nmpc, input: &SolveInput, end: End) -> Solved {
     (rates, report, begin.elapsed())
 }
 
-pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Run> {
+pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<SceneRun> {
     run_with(scene, settings, End::Never, true, |_, _| ())
 }
 
@@ -119,7 +119,7 @@ pub fn run_with(
     end: End,
     checks: bool,
     mut solved: impl FnMut(&SolveInput, &[f64]),
-) -> Result<Run> {
+) -> Result<SceneRun> {
     let mut nmpc = scene.solver(settings)?;
     let mut closed = scene.begin(settings)?;
     nmpc.rehearse(&closed.input(), &mut Budget::unlimited());
@@ -133,7 +133,7 @@ pub fn run_with(
         advance(&mut closed, &desired_rates);
         samples.push(Sample::new(scene, &closed, &report, time));
     }
-    Ok(Run(samples))
+    Ok(SceneRun(samples))
 }
 
 /// Evaluates the cost of a plan without a budget; a short solve may not even have evaluated its warm start.

@@ -5,7 +5,7 @@ use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
 use cdcr_controller::optimizer::VelocityRule;
 use serde_json::Value;
 
-use crate::closed_loop::{Run, Scene};
+use crate::closed_loop::{Scene, SceneRun};
 
 /// Limits on the rates of the line \[rad/s\]; not in the paper.
 pub const LINE_RATES_RAD_S: [f64; 2] = [2.0, 8.0];
@@ -154,6 +154,6 @@ pub struct Outcome {
     pub experiment: Experiment,
     pub scene: Scene,
     pub row: Value,
-    pub first: Run,
+    pub first: SceneRun,
     pub runs: Vec<Value>,
 }

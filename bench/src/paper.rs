@@ -7,7 +7,7 @@ use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::closed_loop::{self, Run, Sample, Scene};
+use crate::closed_loop::{self, Sample, Scene, SceneRun};
 use crate::dataset::{Dataset, each, joined, together};
 use crate::experiment::{Experiment, Outcome, Task};
 use crate::interrupt;
@@ -126,7 +126,7 @@ pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -
     })
 }
 
-fn run_row(experiment: &Experiment, scene: &Scene, run: &Run) -> Value {
+fn run_row(experiment: &Experiment, scene: &Scene, run: &SceneRun) -> Value {
     let (settings, task) = (experiment.settings(), experiment.task);
     let times_us = run.0.iter().map(|sample| sample.solve_ns as f64 * 1e-3);
     let (paper_error_mm, paper_solve_ms) = task.paper();

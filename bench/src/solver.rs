@@ -20,7 +20,7 @@ use crate::dataset::Dataset;
 use crate::experiment::Task;
 use crate::progress::Progress;
 use crate::quantiles::{histogram, quantile_us};
-use crate::study::{self, Case};
+use crate::study::{self, StudyCase};
 
 const CYCLES_MAX: u64 = 400;
 /// In the first second the robot bends little: all obstacles stay within reach and off its path.
@@ -58,16 +58,16 @@ pub struct SolverOptions {
 }
 
 impl SolverOptions {
-    fn cases(&self) -> Vec<Case<'static>> {
+    fn cases(&self) -> Vec<StudyCase<'static>> {
         let is_measured = |size: &Size| !self.is_short || size.task == Task::Spiral { sections: 1 };
-        let of_size = |size: Size| Case {
+        let of_size = |size: Size| StudyCase {
             table: CASES,
             what: size.solver.name().to_owned(),
             expected_s: SIZE_S,
             measure: Box::new(move |_| measure(&size)),
         };
         let divisor = if self.is_short { SHORTENED } else { 1 };
-        let of_table = |(table, whole_s, measure): Measured| Case {
+        let of_table = |(table, whole_s, measure): Measured| StudyCase {
             table,
             what: table.replace('_', " "),
             expected_s: whole_s / divisor as f64,

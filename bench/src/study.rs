@@ -8,7 +8,7 @@ use serde_json::Value;
 use crate::interrupt;
 use crate::progress::Progress;
 
-pub(crate) struct Case<'a> {
+pub(crate) struct StudyCase<'a> {
     pub(crate) table: &'static str,
     pub(crate) what: String,
     pub(crate) expected_s: f64,
@@ -25,11 +25,11 @@ impl Rounds {
     }
 }
 
-pub(crate) fn expected_s(rounds: u32, cases: &[Case<'_>]) -> f64 {
+pub(crate) fn expected_s(rounds: u32, cases: &[StudyCase<'_>]) -> f64 {
     f64::from(rounds) * cases.iter().map(|case| case.expected_s).sum::<f64>()
 }
 
-pub(crate) fn run(rounds: u32, cases: &[Case<'_>], progress: &mut Progress) -> Result<Rounds> {
+pub(crate) fn run(rounds: u32, cases: &[StudyCase<'_>], progress: &mut Progress) -> Result<Rounds> {
     let mut found = Rounds::default();
     for round in 1..=rounds {
         for case in cases {

@@ -17,7 +17,7 @@ const UNITS: [(&str, &str); 8] = [
 
 /// A user parameter.
 #[derive(Debug)]
-pub struct Parameter {
+pub struct UserParameter {
     /// Name, ending with the unit.
     pub name: &'static str,
     /// Description, line by line; `{range}` stands for the range.
@@ -30,7 +30,7 @@ pub struct Parameter {
     pub also: Option<&'static str>,
 }
 
-impl Parameter {
+impl UserParameter {
     /// Unit with a leading space; empty: no unit.
     fn unit(&self) -> String {
         let unit = UNITS.iter().find(|(end, _)| self.name.ends_with(end));
@@ -144,8 +144,8 @@ macro_rules! parameters {
 
         impl $name {
             /// Every parameter, in order.
-            pub const PARAMETERS: &'static [$crate::parameters::Parameter] =
-                &[$($crate::parameters::Parameter {
+            pub const PARAMETERS: &'static [$crate::parameters::UserParameter] =
+                &[$($crate::parameters::UserParameter {
                     name: stringify!($field),
                     doc: &[$($doc),+],
                     range: $crate::first_or_none!($($range)?),

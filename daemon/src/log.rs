@@ -175,7 +175,7 @@ fn lines<S: Subscriber + for<'a> LookupSpan<'a>>(text: &Text) -> impl Layer<S> +
 #[derive(Debug)]
 struct RateLimit {
     limit: Limit,
-    places: Mutex<HashMap<Identifier, Place>>,
+    places: Mutex<HashMap<Identifier, CallSite>>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -186,7 +186,7 @@ struct Limit {
 
 /// Lines of one place in the program in the current interval.
 #[derive(Debug)]
-struct Place {
+struct CallSite {
     since: Instant,
     lines: u32,
     left_out: u64,
@@ -216,12 +216,12 @@ impl RateLimit {
     fn decide(&self, place: Identifier, now: Instant) -> Decision {
         // The counts are valid even if a thread panicked while it held them.
         let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
-        let place = places.entry(place).or_insert_with(|| Place::since(now));
+        let place = places.entry(place).or_insert_with(|| CallSite::since(now));
         place.count(self.limit, now)
     }
 }
 
-impl Place {
+impl CallSite {
     fn since(now: Instant) -> Self {
         Self {
             since: now,
@@ -291,7 +291,7 @@ mod tests {
             interval: INTERVAL,
         };
         let begin = Instant::now();
-        let mut place = Place::since(begin);
+        let mut place = CallSite::since(begin);
         let mut count = |now| place.count(limit, now);
         for line in 0..20 {
             assert_eq!(count(begin + INTERVAL / 20 * line), Decision::Pass);

@@ -73,7 +73,7 @@ impl Display for StatusLine {
 #[derive(Debug)]
 pub struct ServiceManager {
     listener: Option<Listener>,
-    watchdog: Option<Watchdog>,
+    watchdog: Option<WatchdogFeed>,
     last_sent: Option<(StatusLine, Instant)>,
     /// The newest status line that could not be sent, and its time.
     last_unsent: Option<(StatusLine, Instant)>,
@@ -90,7 +90,7 @@ struct Listener {
 }
 
 #[derive(Debug)]
-struct Watchdog {
+struct WatchdogFeed {
     period: Duration,
     fed: Option<Instant>,
     cycles: u64,
@@ -127,7 +127,7 @@ impl ServiceManager {
     pub fn connect(socket: &OsStr, watchdog_period: Option<Duration>) -> io::Result<Self> {
         let watchdog = watchdog_period
             .filter(|period| !period.is_zero())
-            .map(|period| Watchdog {
+            .map(|period| WatchdogFeed {
                 period,
                 fed: None,
                 cycles: 0,

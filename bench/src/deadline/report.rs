@@ -40,14 +40,14 @@ impl Key {
 
 /// All rounds of one subject under one load: a row and the latencies of each round.
 #[derive(Default)]
-pub(super) struct Case {
+pub(super) struct DeadlineCase {
     rounds: Vec<Value>,
     times: Vec<Times>,
 }
 
-pub(super) type Cases = BTreeMap<Key, Case>;
+pub(super) type Cases = BTreeMap<Key, DeadlineCase>;
 
-impl Case {
+impl DeadlineCase {
     pub(super) fn push(&mut self, key: Key, of_round: Value, tally: Tally) {
         // cyclictest reports neither causes nor the wait for its core, and only a daemon has clients.
         let untold = json!({
@@ -129,7 +129,7 @@ fn ratio(dataset: &mut Dataset, key: Key, cases: &Cases) -> Option<Value> {
     let (daemon, bare) = (cases.get(&key)?, cases.get(&Key { subject, ..key })?);
     let unloaded = cases.get(&Key { load, ..key });
     let of_round = |round: usize| {
-        let at = |case: &Case, name| number(case.rounds.get(round)?, name);
+        let at = |case: &DeadlineCase, name| number(case.rounds.get(round)?, name);
         let over = |below, name| Some(at(daemon, name)?.max(1.0) / at(below, name)?.max(1.0));
         let wake_us = at(daemon, "wake_us_p50");
         let command = at(daemon, "command_us_p50").zip(wake_us);
@@ -295,7 +295,7 @@ mod tests {
                 "wake_us": { "p50": wake_us },
             });
             let (rounds, times) = (vec![joined([key.json(), row])], Vec::new());
-            cases.insert(key, Case { rounds, times });
+            cases.insert(key, DeadlineCase { rounds, times });
         }
         let mut dataset = Dataset::new("deadline", include_str!("deadline.toml"));
         for key in cases.keys().filter(|key| key.subject == Daemon) {

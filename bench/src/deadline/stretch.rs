@@ -14,7 +14,7 @@ use super::tally::{COMMAND, Tally};
 use super::{DeadlineOptions, Setup, WARM_UP};
 use crate::dataset::joined;
 use crate::interrupt;
-use crate::load::Running;
+use crate::load::RunningLoad;
 use crate::named::named;
 use crate::quantiles::histogram;
 use crate::subject::baseline::Baseline;
@@ -108,7 +108,7 @@ impl<'a> Runner<'a> {
         let followed = location.filter(|_| subject == Subject::Daemon);
         let follow = |location| Tracking::start(location, self.cores.client());
         let tracking = followed.map(follow).transpose()?;
-        let load = Running::start(key.load, &self.cores, location)?;
+        let load = RunningLoad::start(key.load, &self.cores, location)?;
         let tally = match (subject, followed) {
             (_, Some(location)) => {
                 let observe = || self.observe(location, setup);

@@ -13,7 +13,7 @@ pub use restarts::{CONTENDERS, Field};
 use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
 use crate::progress::Progress;
-use crate::study::{self, Case};
+use crate::study::{self, StudyCase};
 use course::Course;
 use variant::{Variant, Varied, iteration_us};
 
@@ -56,13 +56,16 @@ impl QualityOptions {
         all.filter(has_effect).map(variant).collect()
     }
 
-    fn cases(&self, iteration_us: impl Fn(Course) -> Result<f64>) -> Result<Vec<Case<'static>>> {
+    fn cases(
+        &self,
+        iteration_us: impl Fn(Course) -> Result<f64>,
+    ) -> Result<Vec<StudyCase<'static>>> {
         let mut cases = Vec::new();
         let (cycles_max, restarts) = (self.cycles_max, self.restarts);
         for &course in &self.courses {
             let cycles = course.scene()?.cycles.min(cycles_max);
             for variant in self.variants(course, iteration_us(course)?) {
-                cases.push(Case {
+                cases.push(StudyCase {
                     table: variant.axis().0,
                     what: variant.words(),
                     expected_s: variant.expected_s(cycles),
@@ -77,7 +80,7 @@ impl QualityOptions {
             for restart in 0..restarts {
                 // Different in every round.
                 let seed = move |round: u32| u64::from((round - 1) * restarts + restart);
-                cases.push(Case {
+                cases.push(StudyCase {
                     table: report::PROBLEMS,
                     what: format!("random starts, {}", field.name()),
                     expected_s: CONTEST_S,

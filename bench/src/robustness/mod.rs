@@ -117,7 +117,7 @@ impl Benchmark for RobustnessOptions {
     }
 }
 
-struct Case {
+struct RobotCase {
     scenario: Scenario,
     control: &'static Control,
     obeys_positions: bool,
@@ -129,12 +129,12 @@ impl RobustnessOptions {
         only.is_none_or(|only| scenario.name.contains(only))
     }
 
-    fn cases(&self) -> Vec<Case> {
+    fn cases(&self) -> Vec<RobotCase> {
         let is_wanted = |scenario: &Scenario| scenario.plant() == "ideal" || self.names(scenario);
         let mut cases = Vec::new();
         for scenario in Scenario::all().into_iter().filter(is_wanted) {
             for control in scenario.controls() {
-                cases.extend([true, false].map(|obeys_positions| Case {
+                cases.extend([true, false].map(|obeys_positions| RobotCase {
                     scenario: scenario.clone(),
                     control,
                     obeys_positions,
@@ -145,7 +145,7 @@ impl RobustnessOptions {
     }
 
     /// Runs all cases, distributed over the cores; they are independent of each other.
-    fn all_runs(&self, cases: &[Case], progress: &mut Progress) -> Result<Vec<Runs>> {
+    fn all_runs(&self, cases: &[RobotCase], progress: &mut Progress) -> Result<Vec<Runs>> {
         let mut done = BTreeMap::new();
         thread::scope(|scope| {
             let (sender, results) = mpsc::channel();
@@ -170,7 +170,7 @@ impl RobustnessOptions {
     }
 }
 
-impl Case {
+impl RobotCase {
     fn runs(&self, seeds: u32) -> Result<Runs> {
         let scenario = &self.scenario;
         let eight = self.control.eight(scenario)?;

@@ -8,7 +8,7 @@ use cdcr_controller::optimizer::QUANTUM_NS;
 use serde_json::{Value, json};
 
 use super::Size;
-use crate::closed_loop::{End, Run, Sample, run_with};
+use crate::closed_loop::{End, Sample, SceneRun, run_with};
 use crate::dataset::{each, joined};
 use crate::experiment::Task;
 use crate::quantiles::{histogram, quantile_us};
@@ -34,7 +34,8 @@ pub fn measure(divisor: u64) -> Result<Vec<Value>> {
         let mut runs = (0..REPETITIONS).map(run).collect::<Result<Vec<_>>>()?;
         // A stall that cuts a solve short leads to another course.
         runs.sort_by_key(|run| run.0.iter().filter(|sample| sample.cut_short).count());
-        let rates = |run: &Run| -> Vec<_> { run.0.iter().map(|sample| sample.rates).collect() };
+        let rates =
+            |run: &SceneRun| -> Vec<_> { run.0.iter().map(|sample| sample.rates).collect() };
         let first = rates(&runs[0]);
         runs.retain(|run| rates(run) == first);
         let mut times = histogram();
@@ -89,14 +90,14 @@ fn size((solver, _, obstacles): Problem) -> Size {
 }
 
 /// No guard corrects the plan.
-fn follow(problem: Problem, cycles_max: u64, end: End) -> Result<Run> {
+fn follow(problem: Problem, cycles_max: u64, end: End) -> Result<SceneRun> {
     let (size, speed) = (size(problem), problem.1);
     let mut scene = size.scene()?.faster(speed.into());
     scene.cycles = (size.task.scene()?.cycles / u64::from(speed)).min(cycles_max);
     run_with(&scene, size.settings, end, false, |_, _| ())
 }
 
-fn outcome(problem: Problem, run: &Run) -> Value {
+fn outcome(problem: Problem, run: &SceneRun) -> Value {
     let least_m = Some(run.least_clearance_m()).filter(|least_m| least_m.is_finite());
     let safe_m = size(problem).settings.safe_distance_m;
     json!({

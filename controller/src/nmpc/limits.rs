@@ -23,7 +23,7 @@ pub(super) const LIMITS: usize = 1;
 
 /// The limits within reach in one solve.
 #[derive(Debug, Clone)]
-pub(super) struct Limits<'a> {
+pub(super) struct PlanLimits<'a> {
     robot: &'a Robot,
     period_s: f64,
     weight: f64,
@@ -40,7 +40,7 @@ pub(super) struct LimitRow {
     pub is_step_change: bool,
 }
 
-impl<'a> Limits<'a> {
+impl<'a> PlanLimits<'a> {
     /// `fastest_rad_s` bounds the norm of each section's bend rate; `weight` is the position weight.
     pub(super) fn new(
         robot: &'a Robot,

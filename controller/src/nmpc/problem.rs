@@ -4,7 +4,7 @@ mod position_only;
 pub(super) use evaluation::SwarmCost;
 pub(super) use position_only::PositionOnly;
 
-use super::limits::{LIMITS, LimitRow, Limits};
+use super::limits::{LIMITS, LimitRow, PlanLimits};
 use super::motion::{ANGLES, Bent, Motion, VECTORS};
 use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, ResidualRow};
@@ -23,7 +23,7 @@ pub(super) struct TrackingProblem<'a> {
     /// Controls equivalent to the last command.
     pub previous: [f64; COORDINATES_MAX],
     settings: &'a NmpcSettings,
-    limits: &'a Limits<'a>,
+    limits: &'a PlanLimits<'a>,
     obstacles: &'a Obstacles,
     bounds: &'a Bounds,
     reference: &'a [ReferenceSample],
@@ -51,7 +51,7 @@ impl<'a> TrackingProblem<'a> {
         robot: &'a Robot,
         settings: &'a NmpcSettings,
         motion: &'a Motion<'a>,
-        limits: &'a Limits<'a>,
+        limits: &'a PlanLimits<'a>,
         obstacles: &'a Obstacles,
         bounds: &'a Bounds,
         (previous_rates, reference): (&BendRates, &'a [ReferenceSample]),

@@ -1,7 +1,7 @@
 //! The part of the problem within reach over a horizon: the box of the controls, and the obstacles and
 //! limits.
 
-use super::limits::Limits;
+use super::limits::PlanLimits;
 use super::motion::Motion;
 use super::obstacles::Obstacles;
 use super::problem::TrackingProblem;
@@ -38,7 +38,7 @@ impl<'a> SolveContext<'a> {
     pub(super) fn problem(
         &self,
         motion: &'a Motion<'a>,
-        limits: &'a Limits<'a>,
+        limits: &'a PlanLimits<'a>,
         reachable: &'a Reachable,
         reference: &'a [ReferenceSample],
     ) -> TrackingProblem<'a> {
@@ -78,7 +78,7 @@ impl Reachable {
         context: &SolveContext<'a>,
         motion: &Motion,
         budget: &mut Budget<'_>,
-    ) -> Limits<'a> {
+    ) -> PlanLimits<'a> {
         let SolveContext {
             robot,
             settings,
@@ -102,6 +102,6 @@ impl Reachable {
             &fastest_rad_s,
             budget,
         );
-        Limits::new(robot, motion, settings.position_weight, &fastest_rad_s)
+        PlanLimits::new(robot, motion, settings.position_weight, &fastest_rad_s)
     }
 }

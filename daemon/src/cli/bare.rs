@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use cdcr_shared_types::codes::LateCause;
 use clap::{Args, ValueEnum};
 
-use super::{Source, end_with_process};
+use super::{ConfigSource, end_with_process};
 use crate::bare::{self, BareCycle, BareSummary, Outcome, Percentiles};
 
 /// Help text after the options.
@@ -30,7 +30,7 @@ const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --format csv > bar
 #[derive(Debug, Args)]
 pub(super) struct BareOptions {
     #[command(flatten)]
-    source: Source,
+    source: ConfigSource,
     /// Duration: 1 to 10 million periods.
     #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
     duration: Duration,

@@ -41,7 +41,7 @@ pub(super) enum ConfigCommand {
         /// Key, such as cycle.period_ms, or table, such as cycle.
         key: String,
         #[command(flatten)]
-        source: Source,
+        source: ConfigSource,
     },
 }
 
@@ -53,7 +53,7 @@ pub(super) enum ConfigCommand {
     reason = "a help text is printed as it is, and has no backticks"
 )]
 #[derive(Debug, Args)]
-pub(super) struct Source {
+pub(super) struct ConfigSource {
     /// Configuration file (TOML) [env: CDCR_CONFIG]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -84,7 +84,7 @@ fn assignment(text: &str) -> Result<(String, String), String> {
     Ok((key.trim().to_owned(), value.trim().to_owned()))
 }
 
-impl Source {
+impl ConfigSource {
     /// The validated configuration. Warnings go to the log.
     pub(super) fn load(&self) -> Result<Validated, ConfigError> {
         let validated = self.settings()?.validate()?;
@@ -166,7 +166,7 @@ pub(super) fn execute(command: ConfigCommand) -> Result<()> {
 }
 
 /// Executes `cdcrd check`.
-pub(super) fn check(source: &Source) -> Result<()> {
+pub(super) fn check(source: &ConfigSource) -> Result<()> {
     let settings = source.settings()?;
     let changed = settings.changed();
     let validated = settings.validate()?;

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use cdcr_shared_types::counted;
 use clap::{Args, ValueEnum};
 
-use super::Source;
+use super::ConfigSource;
 use crate::doctor::{DoctorReport, Finding, Severity, examine};
 
 /// Help text after the options.
@@ -20,7 +20,7 @@ pub(super) const AFTER_HELP: &str = "Example: cdcrd doctor --config robot.toml -
 #[derive(Debug, Args)]
 pub(super) struct DoctorOptions {
     #[command(flatten)]
-    source: Source,
+    source: ConfigSource,
     /// Output format.
     #[arg(long, value_enum, default_value_t = Format::Text, value_name = "FORMAT")]
     format: Format,

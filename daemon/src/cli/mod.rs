@@ -13,7 +13,7 @@ use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 
 use crate::app;
 use crate::exit::ExitCause;
-use config::{ConfigCommand, Source};
+use config::{ConfigCommand, ConfigSource};
 
 /// Real-time control daemon for cable-driven continuum robots.
 #[derive(Debug, Parser)]
@@ -39,7 +39,7 @@ enum DaemonCommand {
         cycle.budget_ms, logs other changed keys, and changes nothing if the configuration is invalid.")]
     Run {
         #[command(flatten)]
-        source: Source,
+        source: ConfigSource,
         /// End when the parent process, which has this id, ends, however it ends.
         #[arg(long, value_name = "PID", hide = true)]
         end_with_parent: Option<i32>,
@@ -49,7 +49,7 @@ enum DaemonCommand {
     Bare(bare::BareOptions),
     /// Check a configuration and print a summary.
     #[command(after_help = "Example: cdcrd check --config robot.toml --set cycle.period_ms=2")]
-    Check(Source),
+    Check(ConfigSource),
     /// Check this machine for causes of delay in a real-time loop, and print remedies.
     #[command(after_help = doctor::AFTER_HELP)]
     Doctor(doctor::DoctorOptions),

@@ -33,13 +33,13 @@ mod tests {
     use clap::Parser;
 
     use super::*;
-    use crate::cli::config::Source;
+    use crate::cli::config::ConfigSource;
     use crate::config::{Config, ConfigDraft};
 
     #[derive(Debug, Parser)]
     struct Line {
         #[command(flatten)]
-        source: Source,
+        source: ConfigSource,
     }
 
     fn config(arguments: &[&str]) -> Config {

@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use cdcr_controller::parameters::Parameter;
+use cdcr_controller::parameters::UserParameter;
 use cdcr_controller::robot::SectionParameters;
 use toml::{Table, Value};
 
@@ -23,7 +23,7 @@ pub(super) struct Key {
     /// Like `cycle.period_ms` or `robot.sections.length_m`.
     pub(super) name: String,
     /// The declaration of the key.
-    pub(super) parameter: &'static Parameter,
+    pub(super) parameter: &'static UserParameter,
     /// `None`: not settable by itself.
     pub(super) default: Option<Value>,
 }
@@ -48,7 +48,7 @@ fn collect(above: &str, defaults: &Table, keys: &mut Vec<Key>) {
 }
 
 /// The declarations at the top level (`""`), in a table, or in a list of tables.
-pub(super) fn below(key: &str) -> &'static [Parameter] {
+pub(super) fn below(key: &str) -> &'static [UserParameter] {
     match key {
         "" => Config::PARAMETERS,
         "robot.sections" => SectionParameters::PARAMETERS,

@@ -93,7 +93,7 @@ impl Layers {
     fn add(
         mut self,
         text: &str,
-        places: &[Place],
+        places: &[KeyPlace],
         origin: impl Fn(usize) -> Origin,
     ) -> Result<Self, ConfigError> {
         let mut each = places.iter();
@@ -123,7 +123,7 @@ impl Layers {
                 below.extend(keys);
             }
         }
-        for Place { key, offset, .. } in places {
+        for KeyPlace { key, offset, .. } in places {
             self.origins.set(key.clone(), origin(*offset));
         }
         Ok(self)
@@ -161,7 +161,7 @@ fn read(path: &Path) -> io::Result<String> {
 }
 
 /// A table, a key or a list element in a text.
-struct Place {
+struct KeyPlace {
     /// As declared: `robot.sections.length_m`.
     declared: String,
     /// As in messages: `robot.sections[1].length_m`.
@@ -173,21 +173,21 @@ struct Place {
 }
 
 /// All places in a text, in its order.
-fn places(text: &str) -> Result<Vec<Place>, toml::de::Error> {
+fn places(text: &str) -> Result<Vec<KeyPlace>, toml::de::Error> {
     let mut places = Vec::new();
     below_table(DeTable::parse(text)?.get_ref(), "", "", &mut places);
     places.sort_by_key(|place| place.offset);
     Ok(places)
 }
 
-fn below_table(table: &DeTable, declared: &str, key: &str, places: &mut Vec<Place>) {
+fn below_table(table: &DeTable, declared: &str, key: &str, places: &mut Vec<KeyPlace>) {
     let dot = if key.is_empty() { "" } else { "." };
     for (name, value) in table {
         let declared = format!("{declared}{dot}{}", name.get_ref());
         let key = format!("{key}{dot}{}", name.get_ref());
         below_value(value.get_ref(), &declared, &key, places);
         let is_table = matches!(value.get_ref(), DeValue::Table(_));
-        places.push(Place {
+        places.push(KeyPlace {
             is_table_for_list: is_table && is_list(&declared),
             declared,
             key,
@@ -211,7 +211,7 @@ fn list_remedy(key: &str) -> String {
     }
 }
 
-fn below_value(value: &DeValue, declared: &str, key: &str, places: &mut Vec<Place>) {
+fn below_value(value: &DeValue, declared: &str, key: &str, places: &mut Vec<KeyPlace>) {
     match value {
         DeValue::Table(table) if !keys::below(declared).is_empty() => {
             below_table(table, declared, key, places);
@@ -220,7 +220,7 @@ fn below_value(value: &DeValue, declared: &str, key: &str, places: &mut Vec<Plac
             for (index, element) in list.iter().enumerate() {
                 let key = format!("{key}[{index}]");
                 below_value(element.get_ref(), declared, &key, places);
-                places.push(Place {
+                places.push(KeyPlace {
                     declared: declared.to_owned(),
                     key,
                     offset: element.span().start,

@@ -31,7 +31,7 @@ macro_rules! tables {
 
         impl Config {
             /// The declarations of the keys of a table.
-            fn parameters_of(table: &str) -> &'static [Parameter] {
+            fn parameters_of(table: &str) -> &'static [UserParameter] {
                 match table {
                     $(stringify!($name) => <$table>::PARAMETERS,)+
                     _ => &[],
@@ -62,7 +62,7 @@ mod transport;
 use std::path::Path;
 
 use cdcr_controller::nmpc::NmpcSettings;
-use cdcr_controller::parameters::Parameter;
+use cdcr_controller::parameters::UserParameter;
 use cdcr_controller::plant::Flaws;
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::Location;

@@ -1,6 +1,6 @@
 //! Validation: the declared range of each number, and rules between keys.
 
-use cdcr_controller::parameters::Parameter;
+use cdcr_controller::parameters::UserParameter;
 
 use super::{Config, ConfigError, Origins, keys};
 
@@ -65,7 +65,7 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigErro
 /// Checks the times that depend on the period.
 fn check_times(
     config: &Config,
-    numbers: &[(String, &Parameter, f64)],
+    numbers: &[(String, &UserParameter, f64)],
     origins: &Origins,
 ) -> Result<(), ConfigError> {
     let period_ms = config.cycle.period_ms;
@@ -99,7 +99,7 @@ fn check_times(
 }
 
 /// Every number with its key and declaration.
-pub(crate) fn numbers(config: &Config) -> Vec<(String, &'static Parameter, f64)> {
+pub(crate) fn numbers(config: &Config) -> Vec<(String, &'static UserParameter, f64)> {
     let sections = config.robot.sections.iter().enumerate();
     let sections = sections.map(|(index, section)| {
         let numbers = section.numbers().to_vec();

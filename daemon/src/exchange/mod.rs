@@ -55,7 +55,7 @@ pub struct Exchange {
     ports: Ports,
     ends: ExchangeEnds,
     robot: Robot,
-    timing: Timing,
+    timing: CycleTimes,
     references: References,
     measurements: Measurements,
     obstacles: Obstacles,
@@ -77,7 +77,7 @@ pub struct Exchange {
 /// Times of a cycle, from the configuration \[ns\].
 #[derive(Debug)]
 #[allow(clippy::struct_field_names, reason = "the unit ends each name")]
-struct Timing {
+struct CycleTimes {
     period_ns: u64,
     gather_lead_ns: u64,
     /// Time before its release at which the cycle thread wakes up.
@@ -120,7 +120,7 @@ impl Exchange {
             ports,
             ends,
             robot: validated.robot.clone(),
-            timing: Timing {
+            timing: CycleTimes {
                 period_ns: ns(config.cycle.period_ms),
                 gather_lead_ns: ns(config.cycle.gather_lead_ms),
                 spin_ns: config.realtime.spin_ns(config.cycle.period_ms),

@@ -37,7 +37,7 @@ impl Stolen {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-struct Reading {
+struct StealReading {
     time_ns: u64,
     total_ns: u64,
 }
@@ -49,7 +49,7 @@ pub(super) struct Steal {
     reader: Option<StealReader>,
     /// Oldest first. Two readings precede the newest, so that one is older than a late cycle that contains a
     /// reading.
-    readings: [Reading; 3],
+    readings: [StealReading; 3],
     is_fresh: bool,
 }
 
@@ -86,7 +86,7 @@ impl Steal {
         self.is_fresh = true;
         if let Some(total_ns) = self.reader.as_mut().and_then(StealReader::read_ns) {
             self.readings.rotate_left(1);
-            self.readings[2] = Reading {
+            self.readings[2] = StealReading {
                 time_ns: now_ns,
                 total_ns,
             };
@@ -95,7 +95,7 @@ impl Steal {
 }
 
 /// From the newest reading before `due_ns`, or the oldest, to the newest.
-fn between(readings: &[Reading; 3], due_ns: u64) -> Stolen {
+fn between(readings: &[StealReading; 3], due_ns: u64) -> Stolen {
     let [oldest, before, newest] = readings;
     let begin = if before.time_ns <= due_ns {
         before
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn the_window_begins_before_the_late_cycle() {
-        let reading = |time_ms, total_ms| Reading {
+        let reading = |time_ms, total_ms| StealReading {
             time_ns: time_ms * MS,
             total_ns: total_ms * MS,
         };

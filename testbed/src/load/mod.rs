@@ -105,7 +105,7 @@ impl Load {
 
 /// A running load. Dropping it ends the load.
 #[derive(Debug)]
-pub struct Running {
+pub struct RunningLoad {
     load: Load,
     signals: Arc<Signals>,
     threads: Vec<(&'static str, JoinHandle<Done>)>,
@@ -113,7 +113,7 @@ pub struct Running {
     ready: Option<Instant>,
 }
 
-impl Running {
+impl RunningLoad {
     /// Starts the load and waits until all of its threads work. Call it from a thread of ordinary priority,
     /// which the threads inherit. `target`: the daemon for a load that [needs one](Load::needs_daemon).
     pub fn start(load: Load, cores: &Cores, target: Option<&Location>) -> Result<Self> {
@@ -205,7 +205,7 @@ impl Running {
     }
 }
 
-impl Drop for Running {
+impl Drop for RunningLoad {
     fn drop(&mut self) {
         // A load is only dropped without `stop` on the path of another error.
         let _ = self.end();

@@ -20,7 +20,7 @@ fn daemon(cores: &Cores) -> Daemon {
 fn prove(load: Load, cores: &Cores, target: Option<&Location>) -> Done {
     let mut moment = MOMENT;
     loop {
-        let running = Running::start(load, cores, target).unwrap();
+        let running = RunningLoad::start(load, cores, target).unwrap();
         thread::sleep(moment);
         assert!(running.failure().is_none(), "{:?}", running.failure());
         let stopped = running.stop();
@@ -107,7 +107,7 @@ fn the_flood_is_refused_or_far_away_as_it_should_be() {
     let cores = Cores::find().unwrap();
     let daemon = daemon(&cores);
     let connection = daemon.connect().unwrap();
-    let running = Running::start(Load::Flood, &cores, Some(daemon.location())).unwrap();
+    let running = RunningLoad::start(Load::Flood, &cores, Some(daemon.location())).unwrap();
     let (mut refused, mut accepted) = (0, 0);
     watch(&connection, |kind, outcome| match (kind, outcome) {
         (EventKind::Reference, outcome) => {
@@ -149,7 +149,7 @@ fn watch(connection: &Connection, mut take: impl FnMut(EventKind, Outcome)) {
 fn a_daemon_that_is_not_there_is_a_failure_of_the_flood_alone() {
     let cores = Cores::find().unwrap();
     let place = cdcr_process::Place::new().unwrap();
-    let mut running = Running::start(Load::Clients, &cores, Some(place.location())).unwrap();
+    let mut running = RunningLoad::start(Load::Clients, &cores, Some(place.location())).unwrap();
     thread::sleep(MOMENT);
     let done = running.end().unwrap();
     assert_eq!(done.clients, 0);
@@ -157,7 +157,7 @@ fn a_daemon_that_is_not_there_is_a_failure_of_the_flood_alone() {
     assert_eq!(done.missing(Load::Clients), ["clients"]);
     let error = running.stop().unwrap_err().to_string();
     assert!(error.contains("the load clients did nothing"), "{error}");
-    let error = Running::start(Load::Flood, &cores, Some(place.location())).unwrap_err();
+    let error = RunningLoad::start(Load::Flood, &cores, Some(place.location())).unwrap_err();
     assert!(
         error.to_string().contains("no daemon is running"),
         "{error:#}"
@@ -177,7 +177,7 @@ fn stress_ng_works_and_ends_with_the_load() {
 #[test]
 fn a_dropped_load_ends() {
     let cores = Cores::find().unwrap();
-    let running = Running::start(Load::Cpu, &cores, None).unwrap();
+    let running = RunningLoad::start(Load::Cpu, &cores, None).unwrap();
     let signals = Arc::clone(&running.signals);
     drop(running);
     // The only owner: the threads have ended.

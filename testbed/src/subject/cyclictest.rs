@@ -41,7 +41,7 @@ impl Cyclictest {
         priority: Option<u8>,
         core: usize,
         cycles: u64,
-    ) -> Result<Running> {
+    ) -> Result<RunningCyclictest> {
         let nanoseconds = period.as_nanos();
         ensure!(
             nanoseconds > 0 && nanoseconds.is_multiple_of(1000),
@@ -56,7 +56,7 @@ impl Cyclictest {
             }
             Process::start("cyclictest", command)
         })?;
-        Ok(Running {
+        Ok(RunningCyclictest {
             process,
             period,
             cycles,
@@ -103,13 +103,13 @@ fn with_core<R>(core: usize, start: impl FnOnce() -> R) -> R {
 }
 
 #[derive(Debug)]
-pub struct Running {
+pub struct RunningCyclictest {
     process: Process,
     period: Duration,
     cycles: u64,
 }
 
-impl Running {
+impl RunningCyclictest {
     pub fn wait(mut self) -> Result<Latencies> {
         let duration_s = self.period.as_secs_f64() * self.cycles as f64;
         let limit = Duration::from_secs_f64(2.0 * duration_s) + TIMEOUT;
@@ -127,7 +127,7 @@ impl Running {
     }
 }
 
-impl Drop for Running {
+impl Drop for RunningCyclictest {
     fn drop(&mut self) {
         // cyclictest removes this file itself unless it is killed.
         let _ = self.process.end();

@@ -6,7 +6,7 @@
 use std::ops::RangeInclusive;
 
 use cdcr_controller::nmpc::NmpcSettings;
-use cdcr_controller::parameters::Parameter;
+use cdcr_controller::parameters::UserParameter;
 use cdcr_shared_types::codes::Codes;
 use cdcr_shared_types::message::{Meaning, Struct as _, Value as Part, ValueMut};
 use cdcr_shared_types::{SolverSettings, Status};
@@ -30,8 +30,8 @@ const BUDGET_MS: RangeInclusive<f64> = 0.0..=100.0;
 pub(crate) const AUTO: &str = "auto";
 const BUDGET_NOTE: &str = "; 0: all the remaining period";
 
-impl From<&'static Parameter> for Setting {
-    fn from(parameter: &'static Parameter) -> Self {
+impl From<&'static UserParameter> for Setting {
+    fn from(parameter: &'static UserParameter) -> Self {
         Self {
             key: parameter.name,
             field: parameter.name,
@@ -103,7 +103,7 @@ impl Setting {
         self.declared()?.range.clone()
     }
 
-    fn declared(self) -> Option<&'static Parameter> {
+    fn declared(self) -> Option<&'static UserParameter> {
         let mut declared = NmpcSettings::PARAMETERS.iter();
         declared.find(|parameter| parameter.name == self.key)
     }
@@ -173,7 +173,7 @@ fn number_text(number: f64) -> String {
 }
 
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Change {
+pub(crate) struct SettingChange {
     setting: Setting,
     value: Wanted,
 }
@@ -187,7 +187,7 @@ enum Wanted {
     Auto,
 }
 
-impl Change {
+impl SettingChange {
     /// Parses `KEY=VALUE`, with a known key and a value in its range.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let parts = text.split_once('=');
@@ -295,7 +295,7 @@ mod tests {
         for line in lines {
             let (key, value) = line.split_once(" = ").expect("filtered");
             let value = value.trim_matches('"');
-            let change = Change::parse(&format!("{key}={value}"));
+            let change = SettingChange::parse(&format!("{key}={value}"));
             assert_eq!(change.expect(line).setting.key, key);
             keys.push(key);
         }
@@ -319,7 +319,7 @@ mod tests {
             ("budget_ms=-1", "0 to the period of the daemon;"),
             ("seed=-1", "0 to 18446744073709551615"),
         ] {
-            let error = Change::parse(text).expect_err(text);
+            let error = SettingChange::parse(text).expect_err(text);
             assert!(error.contains(part), "{part} in {error}");
         }
     }
@@ -333,7 +333,7 @@ mod tests {
         let warnings =
             |settings| Setting::all().filter_map(move |setting| setting.warning(settings));
         assert_eq!(warnings(settings).collect::<Vec<_>>(), [""; 0]);
-        Change::parse("rate_weight=1e12")
+        SettingChange::parse("rate_weight=1e12")
             .expect("legal")
             .apply(&mut settings, 0.0);
         let warnings: Vec<_> = warnings(settings).collect();
@@ -343,18 +343,18 @@ mod tests {
     #[test]
     fn auto_is_the_number_of_the_daemon() {
         let mut settings = SolverSettings::default();
-        let change = Change::parse("rate_weight=auto").expect("as in the configuration");
+        let change = SettingChange::parse("rate_weight=auto").expect("as in the configuration");
         assert!(change.is_auto());
         change.apply(&mut settings, 1e-10);
         assert_eq!(settings.rate_weight, 1e-10);
-        let error = Change::parse("damping=auto").expect_err("a number only");
+        let error = SettingChange::parse("damping=auto").expect_err("a number only");
         assert!(error.contains("1e-20 to 1"), "{error}");
     }
 
     #[test]
     fn a_budget_in_ms_is_ns_in_the_message() {
         let mut settings = SolverSettings::default();
-        Change::parse("budget_ms=2.5")
+        SettingChange::parse("budget_ms=2.5")
             .expect("legal")
             .apply(&mut settings, 0.0);
         assert_eq!(settings.budget_ns, 2_500_000);

@@ -16,7 +16,7 @@ use serde_json::Value;
 
 use crate::Done;
 use crate::args::{Format, SettingsAction, SettingsOptions, Target};
-use crate::setting::{Change, Setting};
+use crate::setting::{Setting, SettingChange};
 
 const STATUS_TIMEOUT: Duration = Duration::from_secs(1);
 
@@ -109,7 +109,7 @@ fn moves_away(before: SolverSettings, after: SolverSettings, status: &Status) ->
 }
 
 /// Refuses two values for one setting.
-fn check_once(changes: &[Change]) -> anyhow::Result<()> {
+fn check_once(changes: &[SettingChange]) -> anyhow::Result<()> {
     for (index, change) in changes.iter().enumerate() {
         let key = change.key();
         let is_new = changes[..index].iter().all(|earlier| earlier.key() != key);
@@ -118,10 +118,10 @@ fn check_once(changes: &[Change]) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
+fn set(connection: &Connection, changes: &[SettingChange]) -> anyhow::Result<Done> {
     let before = connection.settings()?;
     let mut after = before;
-    let is_auto = changes.iter().any(Change::is_auto);
+    let is_auto = changes.iter().any(SettingChange::is_auto);
     let status = is_auto.then(|| connection.status(STATUS_TIMEOUT));
     let rate_weight_auto = status
         .transpose()?
@@ -275,7 +275,7 @@ mod tests {
         let shown = object(settings);
         for (key, value) in shown.as_object().expect("an object") {
             let value = value.as_str().map_or(value.to_string(), str::to_owned);
-            let change = Change::parse(&format!("{key}={value}")).expect("legal");
+            let change = SettingChange::parse(&format!("{key}={value}")).expect("legal");
             change.apply(&mut settings, 0.0);
         }
         assert_eq!(object(settings), shown);
@@ -326,7 +326,7 @@ mod tests {
             ),
         ] {
             let mut wanted = legal;
-            Change::parse(change)
+            SettingChange::parse(change)
                 .expect("in its range")
                 .apply(&mut wanted, 0.0);
             let reported = broken_bound(&wanted, &status).expect(change);
@@ -367,7 +367,7 @@ mod tests {
     #[test]
     fn two_values_for_one_setting_are_refused() {
         let changes = |texts: &[&str]| -> Vec<_> {
-            let parsed = texts.iter().map(|text| Change::parse(text));
+            let parsed = texts.iter().map(|text| SettingChange::parse(text));
             parsed.collect::<Result<_, _>>().expect("legal")
         };
         assert!(check_once(&changes(&["inertia=0", "rate_weight=1e-6"])).is_ok());
@@ -381,7 +381,9 @@ mod tests {
         let before = SolverSettings::default();
         let mut after = before;
         for text in ["rate_weight=1e-6", "inertia=0"] {
-            Change::parse(text).expect("legal").apply(&mut after, 0.0);
+            SettingChange::parse(text)
+                .expect("legal")
+                .apply(&mut after, 0.0);
         }
         let keys: Vec<_> = changed(before, after).map(|setting| setting.key).collect();
         assert_eq!(keys, ["rate_weight"]);

@@ -107,7 +107,7 @@ fn with_problem_among<T>(
     let mut bounds = Bounds::with_capacity(case.plan.len());
     motion.set_bounds(&robot, &mut bounds);
     let fastest_rad_s = motion.fastest_rad_s(&bounds);
-    let limits = Limits::new(&robot, &motion, 1.0, &fastest_rad_s);
+    let limits = PlanLimits::new(&robot, &motion, 1.0, &fastest_rad_s);
     let mut obstacles = Obstacles::with_capacity();
     let safe_m = case.settings.safe_distance_m;
     let budget = &mut Budget::unlimited();

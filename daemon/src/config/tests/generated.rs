@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use cdcr_controller::parameters::Parameter;
+use cdcr_controller::parameters::UserParameter;
 use cdcr_controller::robot::SectionParameters;
 use cdcr_controller::robot::ranges::SECTION_COUNT;
 use schemars::generate::SchemaSettings;
@@ -92,7 +92,7 @@ fn the_committed_schema_is_what_is_declared() {
 }
 
 /// Adds description and range.
-fn complete(node: &mut Map<String, Value>, key: &str, parameter: &Parameter) {
+fn complete(node: &mut Map<String, Value>, key: &str, parameter: &UserParameter) {
     let mut set = |name: &str, value: Value| node.insert(name.to_owned(), value);
     set("description", json!(parameter.text().replace('\n', " ")));
     if key == "robot.sections" {

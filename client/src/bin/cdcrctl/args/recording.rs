@@ -4,7 +4,7 @@ use std::time::Duration;
 use clap::Args;
 
 use super::Format;
-use crate::setting::Change;
+use crate::setting::SettingChange;
 use crate::trigger::Trigger;
 use crate::value;
 
@@ -69,8 +69,8 @@ pub(crate) struct ReplayOptions {
     #[arg(long)]
     pub(crate) verify: bool,
     /// Recompute every cycle with other settings from the same inputs, without a time limit
-    #[arg(long, value_name = "KEY=VALUE,...", value_delimiter = ',', value_parser = Change::parse, conflicts_with = "verify")]
-    pub(crate) with: Vec<Change>,
+    #[arg(long, value_name = "KEY=VALUE,...", value_delimiter = ',', value_parser = SettingChange::parse, conflicts_with = "verify")]
+    pub(crate) with: Vec<SettingChange>,
     /// Speed factor of the replay, 0.1 to 4
     #[arg(long, value_name = "TIMES", value_parser = value::number_in(0.1..=4.0), default_value = "1", conflicts_with_all = ["verify", "with"], allow_negative_numbers = true)]
     pub(crate) speed: f64,

@@ -4,7 +4,7 @@ use clap::{Args, Subcommand, ValueHint};
 use clap_complete::ArgValueCompleter;
 
 use super::{Format, complete};
-use crate::setting::Change;
+use crate::setting::SettingChange;
 
 #[derive(Debug, Args)]
 #[command(args_conflicts_with_subcommands = true)]
@@ -30,9 +30,9 @@ pub(crate) enum SettingsAction {
     )]
     Set {
         /// Settings to change
-        #[arg(required = true, value_name = "KEY=VALUE", value_parser = Change::parse,
+        #[arg(required = true, value_name = "KEY=VALUE", value_parser = SettingChange::parse,
             add = ArgValueCompleter::new(complete::changes))]
-        changes: Vec<Change>,
+        changes: Vec<SettingChange>,
     },
     /// Write the current settings into a configuration file, which keeps its comments and all other keys
     #[command(

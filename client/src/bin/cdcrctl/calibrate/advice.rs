@@ -5,7 +5,7 @@ use std::fmt::Write;
 use cdcr_controller::calibration::{Held, HeldReason, Parameter};
 use cdcr_controller::robot::{Robot, RobotParameters};
 
-use super::recording::Recording;
+use super::recording::CalibrationRows;
 
 /// From here on the residuals are model errors rather than noise.
 pub(super) const CORRELATED: f64 = 2.0;
@@ -20,7 +20,11 @@ pub(super) fn needs_motion(held: &Held) -> bool {
 }
 
 /// The bends of the recording, and what to do.
-pub(super) fn text(robot: &RobotParameters, recording: &Recording, correlation: f64) -> String {
+pub(super) fn text(
+    robot: &RobotParameters,
+    recording: &CalibrationRows,
+    correlation: f64,
+) -> String {
     let mut out = String::from(
         "To determine them, record a motion in which every section bends far in every direction.",
     );

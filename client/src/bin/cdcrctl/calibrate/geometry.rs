@@ -9,7 +9,7 @@ use cdcr_controller::robot::{RobotParameters, SectionParameters};
 use cdcr_shared_types::RobotDescription;
 use toml_edit::{DocumentMut, Item};
 
-use super::recording::Recording;
+use super::recording::CalibrationRows;
 use super::{advice, recorded, report};
 use crate::Done;
 use crate::args::{Format, GeometryOptions, Target};
@@ -51,7 +51,7 @@ pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<
 fn of_rows(
     target: &Target,
     options: &GeometryOptions,
-) -> anyhow::Result<(RobotParameters, Recording)> {
+) -> anyhow::Result<(RobotParameters, CalibrationRows)> {
     let path = &options.file;
     let text = read_text(path)?;
     let (robot, play_m) = if let Some(path) = &options.config {
@@ -60,10 +60,10 @@ fn of_rows(
         let record = newest(&target.connect()?)?;
         (described(&record.robot)?, record.play_m)
     };
-    let recording = Recording::parse(path, &text, 3 * robot.sections.len())?;
+    let recording = CalibrationRows::parse(path, &text, 3 * robot.sections.len())?;
     Ok((
         robot,
-        Recording {
+        CalibrationRows {
             play_m,
             ..recording
         },
@@ -71,7 +71,7 @@ fn of_rows(
 }
 
 /// A recording of all services, which contains the robot.
-fn of_recording(options: &GeometryOptions) -> anyhow::Result<(RobotParameters, Recording)> {
+fn of_recording(options: &GeometryOptions) -> anyhow::Result<(RobotParameters, CalibrationRows)> {
     let (description, recording) = recorded::read(&options.file)?;
     let Some(config) = &options.config else {
         return Ok((described(&description)?, recording));
@@ -87,7 +87,7 @@ fn of_recording(options: &GeometryOptions) -> anyhow::Result<(RobotParameters, R
     );
     Ok((
         robot,
-        Recording {
+        CalibrationRows {
             play_m,
             ..recording
         },

@@ -8,7 +8,7 @@ use cdcr_shared_types::{RobotDescription, Telemetry};
 
 use super::pairs::Pairs;
 use super::record::check_sensors;
-use super::recording::Recording;
+use super::recording::CalibrationRows;
 use super::resting::Sensors;
 use crate::recording::file::{self, Recorded};
 
@@ -26,7 +26,7 @@ pub(super) fn is_recording(path: &Path) -> anyhow::Result<bool> {
 }
 
 /// The robot of a recording, and a row for each tip measurement, with the motors' lengths at that time and the configured play.
-pub(super) fn read(path: &Path) -> anyhow::Result<(RobotDescription, Recording)> {
+pub(super) fn read(path: &Path) -> anyhow::Result<(RobotDescription, CalibrationRows)> {
     let name = path.display();
     let mut file = file::Recording::open(path)?;
     let mut records: Option<Records> = None;
@@ -85,9 +85,9 @@ impl Records {
         Ok(())
     }
 
-    fn finish(self) -> anyhow::Result<(RobotDescription, Recording)> {
+    fn finish(self) -> anyhow::Result<(RobotDescription, CalibrationRows)> {
         check_sensors(self.sensors)?;
-        let recording = Recording {
+        let recording = CalibrationRows {
             rows: self.rows,
             duration_s: self
                 .ends_s

@@ -20,7 +20,7 @@ pub(super) fn header(cables: usize) -> Vec<String> {
 
 /// A file of measured cables and tips.
 #[derive(Debug)]
-pub(super) struct Recording {
+pub(super) struct CalibrationRows {
     pub(super) rows: Vec<CalibrationRow>,
     /// Time from the first row to the last \[s\].
     pub(super) duration_s: f64,
@@ -28,7 +28,7 @@ pub(super) struct Recording {
     pub(super) play_m: f64,
 }
 
-impl Recording {
+impl CalibrationRows {
     /// The same with the lengths of the cables behind their play.
     pub(super) fn behind_play(self, play_m: f64) -> Self {
         Self {
@@ -124,8 +124,8 @@ mod tests {
 
     use super::*;
 
-    fn parse(text: &str) -> anyhow::Result<Recording> {
-        Recording::parse(Path::new("a.csv"), text, 3)
+    fn parse(text: &str) -> anyhow::Result<CalibrationRows> {
+        CalibrationRows::parse(Path::new("a.csv"), text, 3)
     }
 
     #[test]

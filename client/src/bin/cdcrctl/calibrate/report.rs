@@ -11,13 +11,13 @@ use cdcr_controller::robot::{RobotParameters, SectionParameters};
 use serde_json::{Value, json};
 
 use super::advice::{self, CORRELATED};
-use super::recording::Recording;
+use super::recording::CalibrationRows;
 
 /// Text, with the configuration at the end.
 pub(super) fn text(
     path: &Path,
     robot: &RobotParameters,
-    recording: &Recording,
+    recording: &CalibrationRows,
     found: &Calibration,
 ) -> Result<String, Error> {
     let mut out = String::new();
@@ -244,7 +244,11 @@ fn fragment(robot: &RobotParameters, found: &Calibration) -> Result<String, Erro
     Ok(out)
 }
 
-pub(super) fn json(robot: &RobotParameters, recording: &Recording, found: &Calibration) -> Value {
+pub(super) fn json(
+    robot: &RobotParameters,
+    recording: &CalibrationRows,
+    found: &Calibration,
+) -> Value {
     let error = |error: &TipError| {
         json!({
             "rows": error.rows,

@@ -11,7 +11,7 @@ use cdcr_client::{Connection, ObstacleSender, TelemetryStream, counted, monotoni
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{Header, Obstacle};
 
-use super::scene::{self, Action, Change};
+use super::scene::{self, SceneAction, SceneChange};
 use super::{TIMEOUT, accepted, check};
 use crate::Done;
 use crate::files::read_text;
@@ -24,7 +24,7 @@ const WAITING: usize = 1024;
 const LINE_MAX: u64 = 65_536;
 
 /// A line of the standard input: a change with its arrival time, or an error.
-type Read = Result<Change, String>;
+type Read = Result<SceneChange, String>;
 
 /// Sends changes and counts them.
 struct Feed {
@@ -46,7 +46,7 @@ pub(super) fn file(connection: &Connection, path: &Path, far: bool) -> anyhow::R
     scene::check_count(&changes).map_err(|cause| anyhow!("{name}: {cause}"))?;
     let status = connection.status(TIMEOUT)?;
     for change in &changes {
-        if let Action::Upsert(obstacle) = &change.action {
+        if let SceneAction::Upsert(obstacle) = &change.action {
             check(obstacle, &status, far, true)
                 .with_context(|| format!("{name}: line {}", change.number))?;
         }
@@ -95,10 +95,10 @@ pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> 
         let mut bad = None;
         for read in std::iter::once(first).chain(waiting) {
             let checked = read.and_then(|change| match &change.action {
-                Action::Upsert(obstacle) => check(obstacle, &status, far, false)
+                SceneAction::Upsert(obstacle) => check(obstacle, &status, far, false)
                     .map(|()| change.clone())
                     .map_err(|cause| format!("line {}: {cause:#}", change.number)),
-                Action::Remove(_) => Ok(change),
+                SceneAction::Remove(_) => Ok(change),
             });
             match checked {
                 Ok(change) => together.push(change),
@@ -116,7 +116,7 @@ pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> 
 }
 
 /// The error of an update that the daemon did not accept, after `before` changes. It takes or refuses an update as a whole.
-fn refused(sent: &[Change], cause: &anyhow::Error, before: usize) -> anyhow::Error {
+fn refused(sent: &[SceneChange], cause: &anyhow::Error, before: usize) -> anyhow::Error {
     let lines = match sent {
         [one] => format!("line {}", one.number),
         [first, .., last] => format!(
@@ -178,23 +178,23 @@ impl Feed {
     }
 
     /// Sends the changes in order, in as few messages as possible.
-    fn send(&mut self, changes: &[Change]) -> anyhow::Result<()> {
-        let is_same = |one: &Change, next: &Change| {
+    fn send(&mut self, changes: &[SceneChange]) -> anyhow::Result<()> {
+        let is_same = |one: &SceneChange, next: &SceneChange| {
             matches!(
                 (&one.action, &next.action),
-                (Action::Upsert(_), Action::Upsert(_))
+                (SceneAction::Upsert(_), SceneAction::Upsert(_))
             )
         };
         for group in changes.chunk_by(is_same) {
-            if let Action::Remove(ids) = &group[0].action {
+            if let SceneAction::Remove(ids) = &group[0].action {
                 let header = self.sender.remove(ids)?;
                 self.note(&header, group)?;
                 continue;
             }
             for some in group.chunks(OBSTACLES_MAX) {
-                let obstacle = |change: &Change| match &change.action {
-                    Action::Upsert(obstacle) => Some(*obstacle),
-                    Action::Remove(_) => None,
+                let obstacle = |change: &SceneChange| match &change.action {
+                    SceneAction::Upsert(obstacle) => Some(*obstacle),
+                    SceneAction::Remove(_) => None,
                 };
                 let obstacles: Vec<Obstacle> = some.iter().filter_map(obstacle).collect();
                 let header = self.sender.upsert_anywhere(&obstacles)?;
@@ -204,7 +204,7 @@ impl Feed {
         Ok(())
     }
 
-    fn note(&mut self, header: &Header, sent: &[Change]) -> anyhow::Result<()> {
+    fn note(&mut self, header: &Header, sent: &[SceneChange]) -> anyhow::Result<()> {
         let known = accepted(&mut self.telemetry, header);
         self.known = Some(known.map_err(|cause| refused(sent, &cause, self.changes))?);
         self.changes += sent.len();
@@ -237,13 +237,13 @@ mod tests {
 
     #[test]
     fn the_lines_of_a_refused_update_are_named_and_what_remains() {
-        let line = |number| Change {
+        let line = |number| SceneChange {
             number,
             time_s: 0.0,
-            action: Action::Remove(vec![]),
+            action: SceneAction::Remove(vec![]),
         };
         let lines: Vec<_> = (2..=65).map(line).collect();
-        let error = |sent: &[Change]| refused(sent, &anyhow!("it is full"), 1).to_string();
+        let error = |sent: &[SceneChange]| refused(sent, &anyhow!("it is full"), 1).to_string();
         let of_all = "lines 2 to 65, sent as one update: it is full\nearlier lines remain in effect: 1 change";
         assert_eq!(error(&lines), of_all);
         let of_one = "line 2: it is full\nearlier lines remain in effect: 1 change";

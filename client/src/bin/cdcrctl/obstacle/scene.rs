@@ -12,31 +12,31 @@ use serde_json::Value;
 
 /// One change of a scene.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Change {
+pub(super) struct SceneChange {
     /// Number of the line or array element, from 1.
     pub(super) number: usize,
     /// Time since the start of the scene \[s\].
     pub(super) time_s: f64,
-    pub(super) action: Action,
+    pub(super) action: SceneAction,
 }
 
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Action {
+pub(super) enum SceneAction {
     Upsert(Obstacle),
     Remove(Vec<u32>),
 }
 
-impl Change {
+impl SceneChange {
     /// Sets the time of the measurement \[ns\].
     pub(super) fn stamp(&mut self, measured_ns: u64) {
-        if let Action::Upsert(obstacle) = &mut self.action {
+        if let SceneAction::Upsert(obstacle) = &mut self.action {
             obstacle.measured_ns = measured_ns;
         }
     }
 
     /// Sets the time of the measurement if it has none.
     pub(super) fn stamp_where_none(&mut self, measured_ns: u64) {
-        if matches!(&self.action, Action::Upsert(obstacle) if obstacle.measured_ns == 0) {
+        if matches!(&self.action, SceneAction::Upsert(obstacle) if obstacle.measured_ns == 0) {
             self.stamp(measured_ns);
         }
     }
@@ -69,8 +69,8 @@ struct Removed {
 }
 
 /// Parses a whole scene: an object per line, or an array. Times must not decrease.
-pub(super) fn parse(text: &str) -> Result<Vec<Change>, String> {
-    let changes: Vec<Change> = if text.trim_start().starts_with('[') {
+pub(super) fn parse(text: &str) -> Result<Vec<SceneChange>, String> {
+    let changes: Vec<SceneChange> = if text.trim_start().starts_with('[') {
         let all: Vec<Value> = serde_json::from_str(text).map_err(|cause| cause.to_string())?;
         let elements = all.into_iter().enumerate();
         let changes = elements.map(|(index, value)| {
@@ -82,7 +82,7 @@ pub(super) fn parse(text: &str) -> Result<Vec<Change>, String> {
         let changes = lines.filter_map(|(index, line)| parse_line(index + 1, line).transpose());
         changes.collect::<Result<_, _>>()?
     };
-    let falls = |pair: &&[Change]| pair[1].time_s < pair[0].time_s;
+    let falls = |pair: &&[SceneChange]| pair[1].time_s < pair[0].time_s;
     match changes.windows(2).find(falls) {
         Some([before, after]) => Err(format!(
             "line {}: time_s = {} is before that of line {}, {}",
@@ -93,20 +93,20 @@ pub(super) fn parse(text: &str) -> Result<Vec<Change>, String> {
 }
 
 /// Fails when the scene has more obstacles at one time than the daemon knows.
-pub(super) fn check_count(changes: &[Change]) -> Result<(), String> {
+pub(super) fn check_count(changes: &[SceneChange]) -> Result<(), String> {
     // Each with the time at which it expires.
     let mut present = BTreeMap::new();
     for change in changes {
         present.retain(|_, until_s| change.time_s < *until_s);
         match &change.action {
-            Action::Upsert(obstacle) => {
+            SceneAction::Upsert(obstacle) => {
                 let until_s = match obstacle.lifetime_ns {
                     0 => f64::INFINITY,
                     ns => change.time_s + ns as f64 * 1e-9,
                 };
                 present.insert(obstacle.id, until_s);
             }
-            Action::Remove(ids) => present.retain(|id, _| !ids.contains(id)),
+            SceneAction::Remove(ids) => present.retain(|id, _| !ids.contains(id)),
         }
         if present.len() > OBSTACLES_MAX {
             return Err(format!(
@@ -119,7 +119,7 @@ pub(super) fn check_count(changes: &[Change]) -> Result<(), String> {
 }
 
 /// Parses one line; `None` if it is empty.
-pub(super) fn parse_line(number: usize, line: &str) -> Result<Option<Change>, String> {
+pub(super) fn parse_line(number: usize, line: &str) -> Result<Option<SceneChange>, String> {
     if line.trim().is_empty() {
         return Ok(None);
     }
@@ -146,21 +146,21 @@ pub(super) fn parse_line(number: usize, line: &str) -> Result<Option<Change>, St
         .map_err(|cause| format!("line {number}: {cause}"))
 }
 
-fn change(number: usize, value: Value) -> Result<Change, String> {
+fn change(number: usize, value: Value) -> Result<SceneChange, String> {
     let is_removal = value.get("remove").is_some();
     let (time_s, action) = if is_removal {
         let removed: Removed = read(value)?;
-        (removed.time_s, Action::Remove(removed.remove))
+        (removed.time_s, SceneAction::Remove(removed.remove))
     } else {
         let known: Known = read(value)?;
-        (known.time_s, Action::Upsert(obstacle(&known)?))
+        (known.time_s, SceneAction::Upsert(obstacle(&known)?))
     };
     if !(0.0..=DURATION_MAX_S).contains(&time_s) {
         return Err(format!(
             "time_s = {time_s:?} is not 0 to {DURATION_MAX_S} s"
         ));
     }
-    Ok(Change {
+    Ok(SceneChange {
         number,
         time_s,
         action,
@@ -231,7 +231,7 @@ mod tests {
         for text in [lines, array] {
             let changes = parse(&text).expect("legal");
             let read: Vec<_> = changes.into_iter().map(|change| change.action).collect();
-            assert_eq!(read, all.map(Action::Upsert));
+            assert_eq!(read, all.map(SceneAction::Upsert));
         }
     }
 
@@ -257,8 +257,8 @@ mod tests {
         let times_s: Vec<_> = changes.iter().map(|change| change.time_s).collect();
         assert_eq!(times_s, [0.0, 1.5, 2.0]);
         let shapes = changes.iter().filter_map(|change| match &change.action {
-            Action::Upsert(obstacle) => Some(ObstacleShape::text_of(obstacle.shape)),
-            Action::Remove(ids) => {
+            SceneAction::Upsert(obstacle) => Some(ObstacleShape::text_of(obstacle.shape)),
+            SceneAction::Remove(ids) => {
                 assert_eq!(ids, &[3]);
                 None
             }

@@ -38,7 +38,7 @@ pub(crate) fn run(target: &Target, options: &RecordingOptions) -> anyhow::Result
         before: options.before,
         after: options.after,
     });
-    let task = Task {
+    let task = RecordTask {
         output: options.output.as_deref(),
         duration: options.duration,
         around,
@@ -48,17 +48,17 @@ pub(crate) fn run(target: &Target, options: &RecordingOptions) -> anyhow::Result
 }
 
 /// Options of a recording.
-pub(super) struct Task<'a> {
+pub(super) struct RecordTask<'a> {
     /// Output file; by default named for robot and time.
     pub(super) output: Option<&'a Path>,
     pub(super) duration: Option<Duration>,
     /// Restricts the recording to the time around a trigger.
     pub(super) around: Option<Around>,
-    pub(super) watch: &'a mut dyn Watch,
+    pub(super) watch: &'a mut dyn RecordWatch,
 }
 
 /// Observer of a running recording.
-pub(super) trait Watch {
+pub(super) trait RecordWatch {
     /// Gets a record, with the trigger if it fired and the recording begins.
     fn take(&mut self, record: &Telemetry, fires: Option<Trigger>) {
         if let Some(trigger) = fires {
@@ -75,7 +75,7 @@ pub(super) trait Watch {
     fn end(&mut self) {}
 }
 
-impl Watch for () {}
+impl RecordWatch for () {}
 
 /// A recording around a trigger, with the time before it and after it.
 #[derive(Debug, Clone, Copy)]
@@ -86,7 +86,7 @@ pub(super) struct Around {
 }
 
 /// Records a daemon into a file.
-pub(super) fn record(target: &Target, task: Task<'_>) -> anyhow::Result<Done> {
+pub(super) fn record(target: &Target, task: RecordTask<'_>) -> anyhow::Result<Done> {
     let ended = recorded(target, task);
     let cause = ended.as_ref().err().and_then(|error| error.downcast_ref());
     match (&ended, cause.and_then(remedy_if_full)) {
@@ -98,7 +98,7 @@ pub(super) fn record(target: &Target, task: Task<'_>) -> anyhow::Result<Done> {
     }
 }
 
-fn recorded(target: &Target, mut task: Task<'_>) -> anyhow::Result<Done> {
+fn recorded(target: &Target, mut task: RecordTask<'_>) -> anyhow::Result<Done> {
     let interrupt = Interrupt::catch()?;
     let (_, robot) = target.location()?;
     let (intake, status) = Intake::begin(target)?;
@@ -305,7 +305,7 @@ impl Recorder {
     fn record(
         &mut self,
         intake: &Intake,
-        task: &mut Task<'_>,
+        task: &mut RecordTask<'_>,
         interrupt: &Interrupt,
     ) -> anyhow::Result<Ended> {
         let (mut flushed, mut ended) = (Instant::now(), None);
@@ -354,7 +354,7 @@ impl Recorder {
         &mut self,
         reading: &Reading,
         records: &[Telemetry],
-        task: &mut Task<'_>,
+        task: &mut RecordTask<'_>,
     ) -> anyhow::Result<io::Result<()>> {
         self.lost = reading.lost;
         let mut written = (self.write_all(&reading.references))

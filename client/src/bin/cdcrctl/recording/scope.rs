@@ -9,13 +9,13 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::Mode;
 use ratatui::crossterm::terminal;
 
-use super::record::{Around, Task, Watch, record};
+use super::record::{Around, RecordTask, RecordWatch, record};
 use crate::Done;
 use crate::args::{ScopeOptions, Target};
 use crate::keys::{self, Keys};
 use crate::top;
 use crate::trigger::Trigger;
-use screen::Screen;
+use screen::ScopeScreen;
 
 /// Columns of a chart, without its numbers.
 const COLUMNS: usize = 64;
@@ -35,7 +35,7 @@ pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Don
         screen: None,
         keys: Keys::default(),
     };
-    let task = Task {
+    let task = RecordTask {
         output: options.output.as_deref(),
         duration: options.duration,
         around: Some(around),
@@ -58,11 +58,11 @@ pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Don
 struct Scope {
     shot: Shot,
     on_terminal: bool,
-    screen: Option<Screen>,
+    screen: Option<ScopeScreen>,
     keys: Keys,
 }
 
-impl Watch for Scope {
+impl RecordWatch for Scope {
     fn take(&mut self, record: &Telemetry, fires: Option<Trigger>) {
         if self.screen.is_none() {
             ().take(record, fires);
@@ -76,7 +76,7 @@ impl Watch for Scope {
         }
         let screen = match &mut self.screen {
             Some(screen) => screen,
-            none => none.insert(Screen::begin()?),
+            none => none.insert(ScopeScreen::begin()?),
         };
         let mut is_quit = || -> io::Result<bool> {
             keys::drawn(screen.show(&self.shot))?;

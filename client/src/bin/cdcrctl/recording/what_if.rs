@@ -10,12 +10,12 @@ use super::file::Recording;
 use super::replay::each_cycle;
 use crate::Done;
 use crate::args::{Format, ReplayOptions};
-use crate::setting::Change;
+use crate::setting::SettingChange;
 
 /// Compares the recorded commands with those of other settings, each cycle separately.
 pub(super) fn run(options: &ReplayOptions) -> anyhow::Result<Done> {
     ensure!(
-        !options.with.iter().any(Change::is_auto),
+        !options.with.iter().any(SettingChange::is_auto),
         "a running daemon chooses the number for auto: give one (cdcrctl settings shows that of a daemon)"
     );
     let mut recording = Recording::open(&options.file)?;

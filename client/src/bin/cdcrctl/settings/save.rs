@@ -231,13 +231,16 @@ mod tests {
     use cdcr_scratch::Scratch;
 
     use super::*;
-    use crate::setting::Change;
+    use crate::setting::SettingChange;
 
     /// The defaults with changes.
     fn settings(changes: &[&str]) -> SolverSettings {
         let defaults: DocumentMut = DEFAULTS.parse().expect("TOML");
         let mut settings = SolverSettings::default();
-        let mut set = |text: &str| Change::parse(text).expect(text).apply(&mut settings, 0.0);
+        let mut set = |text: &str| {
+            let change = SettingChange::parse(text).expect(text);
+            change.apply(&mut settings, 0.0);
+        };
         for (key, value) in defaults["controller"].as_table().expect("a table") {
             let value = value.as_value().expect("a value").clone().decorated("", "");
             let value = value.to_string().replace(AUTO, "0");

@@ -26,13 +26,13 @@ const LABEL_COLUMNS: u16 = 11;
 
 /// A terminal that is restored on drop.
 #[derive(Debug)]
-pub(super) struct Screen {
+pub(super) struct ScopeScreen {
     terminal: DefaultTerminal,
     drawn: Option<Instant>,
     signs: Signs,
 }
 
-impl Screen {
+impl ScopeScreen {
     /// From here on a panic restores the terminal, too.
     pub(super) fn begin() -> anyhow::Result<Self> {
         Ok(Self {
@@ -53,7 +53,7 @@ impl Screen {
     }
 }
 
-impl Drop for Screen {
+impl Drop for ScopeScreen {
     fn drop(&mut self) {
         ratatui::restore();
     }
