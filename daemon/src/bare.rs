@@ -14,6 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use cdcr_shared_types::BareSummary;
 
 use crate::accounting::{Accounting, Totals};
 use crate::config::{Config, Validated, ns};
@@ -27,8 +28,6 @@ use crate::rt::schedule::{Release, Schedule};
 use crate::rt::scheduler::{SchedulerDeltas, this_thread};
 use crate::start::{self, Started, abandon_threads, arm, end_signals};
 use crate::system::with_core;
-
-pub use summary::{BareSummary, Percentiles};
 
 /// Largest number of recorded cycles: 800 MB of memory.
 pub const CYCLES_MAX: u64 = 10_000_000;
@@ -108,7 +107,7 @@ pub fn run_until(
     }
     let recorder = thread.join()?;
     Ok(Outcome {
-        summary: BareSummary::new(config, &recorder, armed.missing, armed.core)?,
+        summary: summary::summary(config, &recorder, armed.missing, armed.core)?,
         cycles: recorder.cycles,
     })
 }
@@ -334,9 +333,9 @@ mod tests {
     fn a_loop_that_is_to_end_keeps_what_there_is() {
         let recorder = run(100, (0, 0), true);
         assert!(recorder.cycles.is_empty());
-        let summary = BareSummary::new(&Config::default(), &recorder, 0, Some(1)).unwrap();
+        let summary = summary::summary(&Config::default(), &recorder, 0, Some(1)).unwrap();
         assert_eq!((summary.cycles, summary.duration_s), (0, 0.0));
-        assert_eq!(summary.wake.0.max_ns, 0);
+        assert_eq!(summary.wake.max_ns, 0);
     }
 
     #[test]

@@ -31,9 +31,10 @@
 //!
 //! Messages have no logic: nothing here validates, computes or decides; `daemon/src/convert/` validates at the edge.
 //! The other modules hold what daemon and client share: folders, files, locks, permissions, shared-memory space, the
-//! reader of `/proc/stat`, and the plural of counted nouns.
+//! reader of `/proc/stat`, the output of `cdcrd bare`, and the plural of counted nouns.
 
 mod access;
+mod bare;
 pub mod codes;
 mod command;
 mod control;
@@ -55,6 +56,7 @@ pub mod shm_space;
 mod status;
 mod telemetry;
 
+pub use bare::BareSummary;
 pub use command::Command;
 pub use control::{Request, Response};
 pub use counted::counted;

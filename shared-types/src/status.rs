@@ -39,7 +39,7 @@ message! {
     }
 
     /// Percentiles of one latency \[ns\].
-    #[derive(Eq)]
+    #[derive(Eq, serde::Serialize, serde::Deserialize)]
     pub struct LatencySummary "cdcr.LatencySummary.v1" {
         /// Values counted.
         count: u64,

@@ -5,10 +5,11 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use cdcr_shared_types::codes::LateCause;
+use cdcr_shared_types::{BareSummary, LatencySummary};
 use clap::{Args, ValueEnum};
 
 use super::{ConfigSource, end_with_process};
-use crate::bare::{self, BareCycle, BareSummary, Outcome, Percentiles};
+use crate::bare::{self, BareCycle, Outcome};
 
 /// Help text after the options.
 pub(super) fn after_help() -> String {
@@ -165,7 +166,7 @@ fn write_latencies(out: &mut impl Write, summary: &BareSummary) -> io::Result<()
         "\n{:<17}{:>9}{:>9}{:>9}{:>9}{:>9}",
         "time [µs]", "min", "p50", "p99", "p99.9", "max"
     )?;
-    let mut row = |name, Percentiles(of): &Percentiles| {
+    let mut row = |name, of: &LatencySummary| {
         let columns = [of.min_ns, of.p50_ns, of.p99_ns, of.p999_ns, of.max_ns];
         let columns = columns.map(|time_ns| format!("{:>9.1}", time_ns as f64 * 1e-3));
         writeln!(out, "{name:<17}{}", columns.concat())
@@ -186,7 +187,6 @@ mod tests {
     use crate::rt::attribution::CauseAssignment;
     use crate::rt::schedule::Lateness;
     use crate::rt::schedule::Release;
-    use cdcr_shared_types::LatencySummary;
 
     fn outcome() -> Outcome {
         let cycle = BareCycle {
@@ -213,14 +213,14 @@ mod tests {
             interference: None,
             ..cycle
         };
-        let latency = Percentiles(LatencySummary {
+        let latency = LatencySummary {
             count: 4_999,
             min_ns: 1_000,
             p50_ns: 14_049,
             p99_ns: 30_000,
             p999_ns: 99_960,
             max_ns: 1_234_500,
-        });
+        };
         let summary = BareSummary {
             period_ns: 100_000,
             deadline_ns: 100_000,
@@ -231,12 +231,12 @@ mod tests {
             late_starts: 1,
             deadline_misses: 0,
             skipped_periods: 1,
-            causes: BTreeMap::from([("another task had the core", 1)]),
+            causes: BTreeMap::from([("another task had the core".to_owned(), 1)]),
             wake: latency,
             run_delay: None,
             page_faults: Some(2),
             realtime: false,
-            realtime_missing: vec!["SCHED_FIFO", "locked memory"],
+            realtime_missing: vec!["SCHED_FIFO".to_owned(), "locked memory".to_owned()],
             core: Some(1),
         };
         Outcome {

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use anyhow::{Context, ensure};
 use cdcr_process::Process;
-use serde::{Deserialize, Serialize};
+use cdcr_shared_types::BareSummary;
+use serde::Serialize;
 
 use super::daemon::cdcrd;
 use crate::interrupt::Interrupt;
@@ -29,29 +30,6 @@ pub(super) struct Baseline {
     /// Late cycles by cause; causes without a cycle are omitted.
     pub(super) causes: BTreeMap<String, u64>,
     pub(super) wake_us: Spread,
-}
-
-/// The part of the output of `cdcrd bare --format json` that is used here.
-#[derive(Debug, Deserialize)]
-struct BareSummary {
-    duration_s: f64,
-    cycles: u64,
-    late_starts: u64,
-    deadline_misses: u64,
-    skipped_periods: u64,
-    causes: BTreeMap<String, u64>,
-    wake: BarePercentiles,
-}
-
-#[derive(Debug, Deserialize)]
-#[allow(
-    clippy::struct_field_names,
-    reason = "the names that cdcrd bare writes"
-)]
-struct BarePercentiles {
-    p50_ns: u64,
-    p99_ns: u64,
-    max_ns: u64,
 }
 
 impl Baseline {
@@ -102,21 +80,28 @@ impl From<BareSummary> for Baseline {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use cdcr_shared_types::LatencySummary;
+
     use super::*;
 
     /// The output of `cdcrd bare`, for tests of arithmetic and texts.
     pub(in crate::demo) fn baseline(deadline_misses: u64, late_starts: u64) -> Baseline {
-        let json = serde_json::json!({
-            "period_ns": 5_000_000, "deadline_ns": 5_000_000, "late_start_ns": 1_000_000, "spin_ns": 0,
-            "duration_s": 0.5, "cycles": 100, "late_starts": late_starts,
-            "deadline_misses": deadline_misses, "skipped_periods": 2,
-            "causes": { "platform": deadline_misses },
-            "wake": { "min_ns": 1, "p50_ns": 20_500, "p99_ns": 90_000, "p999_ns": 1, "max_ns": 1_234_500 },
-            "run_delay": null, "page_faults": null,
-            "realtime": true, "realtime_missing": [], "core": 1
-        });
-        let summary: BareSummary = serde_json::from_value(json).expect("known");
-        summary.into()
+        BareSummary {
+            duration_s: 0.5,
+            cycles: 100,
+            late_starts,
+            deadline_misses,
+            skipped_periods: 2,
+            causes: [("platform".to_owned(), deadline_misses)].into(),
+            wake: LatencySummary {
+                p50_ns: 20_500,
+                p99_ns: 90_000,
+                max_ns: 1_234_500,
+                ..LatencySummary::default()
+            },
+            ..BareSummary::default()
+        }
+        .into()
     }
 
     #[test]
@@ -132,19 +117,7 @@ pub(super) mod tests {
 
     #[test]
     fn a_loop_without_a_cycle_has_no_rates_that_are_not_numbers() {
-        let none = BareSummary {
-            duration_s: 0.0,
-            cycles: 0,
-            late_starts: 0,
-            deadline_misses: 0,
-            skipped_periods: 0,
-            causes: BTreeMap::new(),
-            wake: BarePercentiles {
-                p50_ns: 0,
-                p99_ns: 0,
-                max_ns: 0,
-            },
-        };
-        assert_eq!(Baseline::from(none).deadline_misses_per_s, 0.0);
+        let none = Baseline::from(BareSummary::default());
+        assert_eq!(none.deadline_misses_per_s, 0.0);
     }
 }
