@@ -19,6 +19,7 @@ pub mod robot;
 pub mod system_calls;
 pub mod threads;
 
+use std::iter::from_fn;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Output, Stdio};
@@ -34,10 +35,13 @@ use cdcr_controller::plant::RobotPreset;
 pub use cdcr_process::in_public_memory;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 use cdcr_shared_types::{Obstacle, Response, Status, Telemetry};
+/// Configuration for tests whose subject is not timing, as text that tables may follow.
+pub use cdcr_testbed::subject::daemon::STALL_TOLERANT;
+use cdcr_testbed::system::thread::pin;
 use derive_more::{Deref, DerefMut};
 pub use program::{Program, Running, unread_pipe};
 use rustix::process::Signal;
-use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use rustix::thread::{CpuSet, sched_getaffinity};
 use serde_json::Value;
 
 pub const ROBOT: &str = "cdcr";
@@ -45,24 +49,10 @@ pub const ROBOT: &str = "cdcr";
 const SIMULATED: &str = "CDCR_LINK_SIMULATED";
 /// Time limit of a test's waits. Long, because machines stall; only a failing test takes so long.
 pub const TIMEOUT: Duration = Duration::from_secs(60);
-/// Configuration for tests whose subject is not timing, as text that more tables may follow (programs started by the testbed have
-/// `cdcr_testbed::subject::daemon::STALL_TOLERANT`): on a machine that stalls, no lease expires, and no
-/// deadline miss stops the robot.
-pub const STALL_TOLERANT: &str = "[cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
 
+/// Path of a program of this project.
 pub fn binary(name: &str) -> PathBuf {
-    let test = std::env::current_exe().expect("the test has a path");
-    let folder = test
-        .ancestors()
-        .nth(2)
-        .expect("target/<profile>/deps/<test>");
-    let path = folder.join(name);
-    assert!(
-        path.exists(),
-        "{} is not built; run `cargo test --workspace`",
-        path.display()
-    );
-    path
+    cdcr_process::program(name).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// A place in shared memory that no other test uses, and a folder for other files, possibly on a disk.
@@ -295,15 +285,15 @@ impl Daemon {
     }
 
     fn wait_until_up(&self) {
-        let begin = Instant::now();
-        while Connection::open(self.place.location(), ROBOT).is_err() {
-            assert!(
-                begin.elapsed() < TIMEOUT,
-                "the daemon did not come up:\n{}",
-                self.log()
-            );
-            std::thread::sleep(Duration::from_millis(10));
-        }
+        let is_up = || {
+            Connection::open(self.place.location(), ROBOT)
+                .ok()
+                .map(drop)
+        };
+        wait_for(
+            || format!("the daemon did not come up:\n{}", self.log()),
+            is_up,
+        );
     }
 
     /// Sends SIGTERM and waits for the end.
@@ -354,28 +344,30 @@ fn command_of(place: &Place, configuration: &str, preset: RobotPreset, log: &Pat
     command
 }
 
-pub fn wait_until(what: &str, mut is_it: impl FnMut() -> bool) {
+/// Asks until there is an answer. Fails after the time limit with `words`.
+pub fn wait_for<T>(words: impl Fn() -> String, mut ask: impl FnMut() -> Option<T>) -> T {
     let begin = Instant::now();
-    while !is_it() {
-        assert!(begin.elapsed() < TIMEOUT, "it never came: {what}");
-        std::thread::sleep(Duration::from_millis(10));
+    loop {
+        if let Some(answer) = ask() {
+            return answer;
+        }
+        assert!(begin.elapsed() < TIMEOUT, "{}", words());
+        std::thread::sleep(Duration::from_millis(5));
     }
+}
+
+pub fn wait_until(what: &str, mut is_it: impl FnMut() -> bool) {
+    let words = || format!("it never came: {what}");
+    wait_for(words, || is_it().then_some(()));
 }
 
 pub fn wait_record(
     stream: &mut TelemetryStream,
     mut is_it: impl FnMut(&Telemetry) -> bool,
 ) -> Telemetry {
-    let begin = Instant::now();
-    loop {
-        if let Some(record) = stream.try_next().expect("the daemon lives")
-            && is_it(&record)
-        {
-            return record;
-        }
-        assert!(begin.elapsed() < TIMEOUT, "no such record");
-        std::thread::sleep(Duration::from_millis(1));
-    }
+    let mut next = || stream.try_next().expect("the daemon lives");
+    let words = || "no such record".to_owned();
+    wait_for(words, || from_fn(&mut next).find(&mut is_it))
 }
 
 /// Sets a flag for another thread when dropped, even if the test fails.
@@ -393,15 +385,9 @@ pub fn wait_mode(stream: &mut TelemetryStream, mode: Mode) -> Telemetry {
 }
 
 pub fn wait_status(connection: &Connection, is_it: impl Fn(&Status) -> bool) -> Status {
-    let begin = Instant::now();
-    loop {
-        let status = connection.status(TIMEOUT).expect("a status");
-        if is_it(&status) {
-            return status;
-        }
-        assert!(begin.elapsed() < TIMEOUT, "no such status: {status:?}");
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    let status = || connection.status(TIMEOUT).expect("a status");
+    let words = || format!("no such status: {:?}", status());
+    wait_for(words, || Some(status()).filter(&is_it))
 }
 
 /// Sends a request that the daemon accepts, and returns its answer.
@@ -454,11 +440,9 @@ fn beside_sleepers<R>(case: &mut impl FnMut() -> R) -> (R, Duration) {
         let cores = sched_getaffinity(None).expect("the cores of this thread");
         let cores = (0..CpuSet::MAX_CPU).filter(|core| cores.is_set(*core));
         let sleepers = cores.map(|core| {
-            let mut only = CpuSet::new();
-            only.set(core);
             let ending = &ending;
             scope.spawn(move || {
-                sched_setaffinity(None, &only).expect("a core of this thread");
+                assert!(pin(core), "a core of this thread");
                 oversleep_until(ending)
             })
         });

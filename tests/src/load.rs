@@ -6,10 +6,10 @@ use std::sync::{PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, FeedEvent, FeedOptions, ObstacleSender, Spiral, monotonic_ns};
-use cdcr_shared_types::codes::{
-    ChunkMode, Interface, Interpolation, MeasurementKind, Mode, RequestKind,
-};
-use cdcr_shared_types::{Obstacle, ReferencePoint, SolverSettings, Telemetry};
+use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
+use cdcr_shared_types::{Obstacle, SolverSettings, Telemetry};
+pub use cdcr_testbed::load::visitors::COMERS;
+use cdcr_testbed::load::{flood, rate, visitors};
 
 use crate::robot::DrivenRobot;
 use crate::{Place, ROBOT, TIMEOUT, ball};
@@ -67,43 +67,29 @@ fn every(period: Duration, ending: &AtomicBool, mut work: impl FnMut()) {
         work();
         Ok(())
     };
-    cdcr_testbed::load::rate::every(period, is_ending, work).unwrap();
+    rate::every(period, is_ending, work).unwrap();
 }
 
-/// Number of threads. One thread manages ten visits a second, because connecting waits for a status message.
-pub const COMERS: u32 = 5;
-
-/// Clients that connect and leave, 30 times a second in total; every second one opens the telemetry. A writer
-/// of `gate` waits until all have left, and keeps them out.
+/// Clients that connect and leave, 30 times a second in total by [`COMERS`] threads; every second one opens the
+/// telemetry. A writer of `gate` waits until all have left, and keeps them out.
 pub fn come_and_go(place: &Place, gate: &RwLock<()>, ending: &AtomicBool, done: &Done) {
     let mut turn = 0_u32;
-    every(COMERS * Duration::from_micros(33_333), ending, || {
+    every(visitors::PERIOD, ending, || {
         turn += 1;
         let _inside = gate.read().unwrap_or_else(PoisonError::into_inner);
         // The daemon may be ending.
-        if let Ok(connection) = Connection::open(place.location(), ROBOT) {
-            let telemetry = turn.is_multiple_of(2).then(|| connection.telemetry());
-            done.connections.fetch_add(1, Ordering::Relaxed);
-            drop(telemetry);
-        }
+        let granted = visitors::visit(place.location(), ROBOT, turn.is_multiple_of(2));
+        done.connections
+            .fetch_add(u64::from(granted), Ordering::Relaxed);
     });
 }
 
 /// Sends reference chunks at 10 kHz without the lease: all are rejected.
 pub fn flood_references(place: &Place, ending: &AtomicBool, done: &Done) {
-    let connection = connect(place);
-    let feed = connection.reference_feed().unwrap();
-    let mut points = [ReferencePoint::default(); 128];
-    every(Duration::from_micros(100), ending, || {
-        let begin_ns = monotonic_ns() + 1_000_000_000;
-        for (index, point) in points.iter_mut().enumerate() {
-            point.time_ns = begin_ns + index as u64 * 1_000_000;
-            point.position_m = [0.0, 0.0, 0.8];
-        }
-        feed.send(ChunkMode::Replace, Interpolation::Cubic, &points)
-            .unwrap();
-        done.chunks.fetch_add(1, Ordering::Relaxed);
-    });
+    let feed = connect(place).reference_feed().unwrap();
+    let is_ending = || ending.load(Ordering::Relaxed);
+    let sent = || _ = done.chunks.fetch_add(1, Ordering::Relaxed);
+    flood::send_references(&feed, is_ending, sent).unwrap();
 }
 
 /// Sends obstacle updates at 10 kHz: a moving crowd that appears and expires.
@@ -111,7 +97,7 @@ pub fn flood_obstacles(place: &Place, ending: &AtomicBool, done: &Done) {
     let connection = connect(place);
     let obstacles = connection.obstacle_sender().unwrap();
     let mut turn = 0_u32;
-    every(Duration::from_micros(100), ending, || {
+    every(flood::PERIOD, ending, || {
         turn = turn.wrapping_add(1);
         let shift_m = 0.05 * f64::from(turn % 100) / 100.0;
         let moving = Obstacle {
@@ -134,7 +120,7 @@ pub fn flood_bad_obstacles(place: &Place, ending: &AtomicBool) {
         ..Obstacle::default()
     });
     obstacles[63].radius_m = -1.0;
-    every(Duration::from_micros(100), ending, || {
+    every(flood::PERIOD, ending, || {
         sender.upsert(&obstacles).unwrap();
     });
 }

@@ -1,16 +1,16 @@
 //! A program that runs beside a test.
 
-use std::io::{ErrorKind, PipeReader, PipeWriter, Read, Write};
-use std::process::{Child, Command, ExitStatus, Output, Stdio};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::fs::File;
+use std::io::{ErrorKind, PipeReader, PipeWriter, Write};
+use std::os::unix::fs::FileExt as _;
+use std::process::{Child, Command, ExitStatus, Output};
+use std::time::Duration;
 
 use derive_more::{Deref, DerefMut};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::{Pid, Signal, kill_process};
 
-use crate::TIMEOUT;
+use crate::wait_for;
 
 /// A process of the test. Dropping it kills and reaps it, because a zombie is not dead for iceoryx2.
 #[derive(Debug)]
@@ -44,13 +44,8 @@ impl Running {
 
     /// Waits for the end. After the time limit, fails with `words` in the report.
     pub fn wait(&mut self, words: impl Fn() -> String) -> ExitStatus {
-        let begin = Instant::now();
-        while self.runs() {
-            let is_late = begin.elapsed() > TIMEOUT;
-            assert!(!is_late, "the program does not end:\n{}", words());
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        self.0.wait().expect("it is our child")
+        let words = || format!("the program does not end:\n{}", words());
+        wait_for(words, || self.0.try_wait().expect("it is our child"))
     }
 }
 
@@ -67,20 +62,19 @@ pub struct Program {
     #[deref]
     #[deref_mut]
     child: Running,
-    out: Printed,
-    err: Printed,
+    // Files without names: a full pipe would block the program.
+    out: File,
+    err: File,
 }
 
 impl Program {
     /// Starts the program; its output is kept.
     pub fn start(command: &mut Command) -> Self {
-        let command = command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = Running::start(command);
-        Self {
-            out: Printed::read(child.0.stdout.take().expect("a pipe")),
-            err: Printed::read(child.0.stderr.take().expect("a pipe")),
-            child,
-        }
+        let [out, err] = [(); 2].map(|()| tempfile::tempfile().expect("a temporary file"));
+        let writer = |file: &File| file.try_clone().expect("a second handle");
+        let command = command.stdout(writer(&out)).stderr(writer(&err));
+        let child = Running::start(command);
+        Self { child, out, err }
     }
 
     /// Number of lines on standard output so far.
@@ -90,52 +84,25 @@ impl Program {
 
     /// Standard output so far.
     pub fn printed(&self) -> String {
-        let text = self.out.text.lock().unwrap_or_else(PoisonError::into_inner);
-        String::from_utf8_lossy(&text).into_owned()
+        String::from_utf8_lossy(&written(&self.out)).into_owned()
     }
 
     /// Waits for the end.
     pub fn output(&mut self) -> Output {
         Output {
             status: self.child.wait(String::new),
-            stdout: self.out.finish(),
-            stderr: self.err.finish(),
+            stdout: written(&self.out),
+            stderr: written(&self.err),
         }
     }
 }
 
-/// Output of a program, read while it runs, because a full pipe would block it.
-#[derive(Debug)]
-struct Printed {
-    text: Arc<Mutex<Vec<u8>>>,
-    reader: Option<JoinHandle<()>>,
-}
-
-impl Printed {
-    fn read(mut pipe: impl Read + Send + 'static) -> Self {
-        let text = Arc::<Mutex<Vec<u8>>>::default();
-        let kept = text.clone();
-        let reader = std::thread::spawn(move || {
-            let mut part = [0; 4096];
-            while let Ok(length @ 1..) = pipe.read(&mut part) {
-                let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
-                kept.extend_from_slice(&part[..length]);
-            }
-        });
-        Self {
-            text,
-            reader: Some(reader),
-        }
-    }
-
-    /// The whole output of a program that has ended.
-    fn finish(&mut self) -> Vec<u8> {
-        if let Some(reader) = self.reader.take() {
-            reader.join().expect("it only reads");
-        }
-        let text = self.text.lock().unwrap_or_else(PoisonError::into_inner);
-        text.clone()
-    }
+/// What a file contains so far. Leaves its position, which the program shares.
+fn written(file: &File) -> Vec<u8> {
+    let length = file.metadata().expect("it is open").len();
+    let mut text = vec![0; length as usize];
+    file.read_exact_at(&mut text, 0).expect("it was written");
+    text
 }
 
 /// A pipe without a reader that accepts nothing more; a further writer blocks.

@@ -9,17 +9,17 @@
 
 use std::fmt::Write as _;
 use std::slice;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
+use std::sync::{Mutex, PoisonError};
 
 use cdcr_client::{Connection, Spiral};
 use cdcr_shared_types::codes::{LateCause, ObstacleShape, timing};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_test_skip::{Need, skip};
+use cdcr_testbed::load::{Load, RunningLoad};
+use cdcr_testbed::system::cores::Cores;
 use cdcr_tests::{Daemon, STALL_TOLERANT, asked, ball, wait_status};
-use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use rustix::thread::sched_getaffinity;
 
 /// Serialises the tests: two daemons on one core would load each other.
 static ALONE: Mutex<()> = Mutex::new(());
@@ -61,35 +61,10 @@ fn cage() -> Vec<Obstacle> {
 }
 
 /// An ordinary task that always wants the core of the loop.
-struct BusyTask {
-    is_over: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl BusyTask {
-    fn on(core: usize) -> Self {
-        let is_over = Arc::new(AtomicBool::new(false));
-        let seen = Arc::clone(&is_over);
-        let thread = std::thread::spawn(move || {
-            let mut cores = CpuSet::new();
-            cores.set(core);
-            sched_setaffinity(None, &cores).unwrap();
-            while !seen.load(Ordering::Relaxed) {
-                std::hint::spin_loop();
-            }
-        });
-        Self {
-            is_over,
-            thread: Some(thread),
-        }
-    }
-}
-
-impl Drop for BusyTask {
-    fn drop(&mut self) {
-        self.is_over.store(true, Ordering::Relaxed);
-        let _ = self.thread.take().map(JoinHandle::join);
-    }
+fn busy_task(core: usize) -> RunningLoad {
+    let mut cores = Cores::find().unwrap();
+    cores.others = vec![core];
+    RunningLoad::start(Load::Cpu, &cores, None).unwrap()
 }
 
 /// Records of tracking cycles.
@@ -152,7 +127,7 @@ fn six_sections_among_64_obstacles_beside_an_ordinary_task_are_never_halted() {
         status.obstacle_count as usize == OBSTACLES_MAX
     });
     let begins_alone = !others_run(slice::from_ref(&daemon));
-    let busy = BusyTask::on(status.core as usize);
+    let busy = busy_task(status.core as usize);
     let records = track(&connection, duration_s());
     drop(busy);
     let count = |is_it: fn(&Telemetry) -> bool| records.iter().filter(|r| is_it(r)).count();

@@ -96,8 +96,9 @@ impl<'a> Runner<'a> {
             Subject::Daemon => Some(Daemon::start(&self.launch(key.setup), &self.cores)?),
             _ => key.load.needs_daemon().then(decoy).transpose()?,
         };
-        let tally = self.beside_load(key, daemon.as_ref().map(Daemon::location));
-        let words = || daemon.as_ref().map(Daemon::output_tail);
+        let location = daemon.as_ref().map(|daemon| daemon.place.location());
+        let tally = self.beside_load(key, location);
+        let words = || Some(daemon.as_ref()?.process.output_tail());
         let tally = tally.with_context(|| words().unwrap_or_default())?;
         daemon.map_or(Ok(()), Daemon::stop)?;
         Ok(tally)

@@ -30,7 +30,7 @@ pub(super) fn start_times(launch: &Launch, cores: &Cores) -> Result<Value> {
     let deadline = Instant::now() + TIMEOUT;
     let connection = loop {
         interrupt::check()?;
-        match Connection::open(daemon.location(), ROBOT) {
+        match Connection::open(daemon.place.location(), ROBOT) {
             Err(_) if Instant::now() < deadline => thread::sleep(LOOK_EVERY),
             connected => break connected.with_context(|| late(&daemon, "status"))?,
         }
@@ -57,7 +57,7 @@ fn ready_ns(daemon: &Daemon, start: ManagedStart) -> Result<u64> {
 }
 
 fn late(daemon: &Daemon, missing: &str) -> String {
-    let words = daemon.output_tail();
+    let words = daemon.process.output_tail();
     format!("the daemon does not start: no {missing} within {TIMEOUT:?}{words}")
 }
 
@@ -73,7 +73,7 @@ pub(super) fn usage(launch: &Launch, cores: &Cores, durations: Durations) -> Res
 
 fn measure(daemon: &Daemon, cores: &Cores, [idle, tracking]: Durations) -> Result<Value> {
     let memory = || {
-        let kib = status(daemon.id(), MEMORY)?;
+        let kib = status(daemon.process.id(), MEMORY)?;
         anyhow::Ok(kib.map(|kib| kib as f64 * 1024.0 / MB))
     };
     let [start_mb, ..] = memory()?;
@@ -81,15 +81,15 @@ fn measure(daemon: &Daemon, cores: &Cores, [idle, tracking]: Durations) -> Resul
     let idle = watch(daemon, idle)?;
     let [before_client_mb, ..] = memory()?;
 
-    let client = Tracking::start(daemon.location(), cores.client())?;
+    let client = Tracking::start(daemon.place.location(), cores.client())?;
     interrupt::sleep(SETTLE)?;
-    let ([before_mb, ..], faults_before) = (memory()?, page_faults(daemon.id())?);
+    let ([before_mb, ..], faults_before) = (memory()?, page_faults(daemon.process.id())?);
     let tracking = watch(daemon, tracking)?;
     let [resident_mb, peak_mb, own_mb, shared_mb, file_mb, locked_mb] = memory()?;
-    let faults = page_faults(daemon.id())? - faults_before;
+    let faults = page_faults(daemon.process.id())? - faults_before;
     // Includes the files of the tracking client.
-    let (memory_files, stored_bytes) = files(&daemon.place().memory_files());
-    let (root_files, _) = files(&[daemon.location().root().to_owned()]);
+    let (memory_files, stored_bytes) = files(&daemon.place.memory_files());
+    let (root_files, _) = files(&[daemon.place.location().root().to_owned()]);
     let missing = daemon.connect()?.status(TIMEOUT)?.realtime_missing;
     client.stop()?;
 
@@ -134,9 +134,9 @@ fn sum<'a>(percents: impl Iterator<Item = &'a f64>) -> Option<f64> {
 }
 
 fn watch(daemon: &Daemon, length: Duration) -> Result<Shares> {
-    let (before, begin) = (threads(daemon.id()), Instant::now());
+    let (before, begin) = (threads(daemon.process.id()), Instant::now());
     interrupt::sleep(length)?;
-    let (after, passed) = (threads(daemon.id()), begin.elapsed());
+    let (after, passed) = (threads(daemon.process.id()), begin.elapsed());
     let percent = |name: &str| 100.0 * core_share(&before, &after, name, passed);
     let names = after.iter().map(|thread| thread.name.clone());
     Ok(names.map(|name| (name.clone(), percent(&name))).collect())

@@ -148,7 +148,7 @@ impl Bench<'_> {
     fn with_daemon(&self, link: &str, round: &mut Round, reported: &mut OfDaemon) -> Result<()> {
         let launch = self.options.launch(link, &self.cores, self.may_be_realtime);
         let daemon = Daemon::start(&launch, &self.cores)?;
-        let location = daemon.location();
+        let location = daemon.place.location();
         let worked = self.cores.on_client(self.may_be_realtime, || {
             let mut watcher = Watcher::open(location, EARLY_NS)?;
             let lead_ns = inputs::learn_lead_ns(&mut watcher)?;
@@ -260,7 +260,7 @@ mod tests {
         let cores = Cores::find().expect("cores");
         let launch = LatencyOptions::of_report(true, &[]).launch("driver", &cores, false);
         let daemon = Daemon::start(&launch, &cores).expect("a daemon");
-        let mut watcher = Watcher::open(daemon.location(), EARLY_NS).expect("a client");
+        let mut watcher = Watcher::open(daemon.place.location(), EARLY_NS).expect("a client");
         // Without a first measurement there is no command.
         let end_ns = monotonic_ns() + 300_000_000;
         let (share, ()) = share_of_core(|| watcher.watch_until(end_ns));

@@ -161,7 +161,7 @@ struct Observed {
 }
 
 fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Observed, Recording)> {
-    let tracking = Tracking::start(daemon.location(), stage.cores.client())?;
+    let tracking = Tracking::start(daemon.place.location(), stage.cores.client())?;
     let connection = daemon.connect()?;
     let mut telemetry = connection.telemetry()?;
     // A new client makes the daemon map memory; this belongs to the warm-up.
@@ -171,7 +171,7 @@ fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Observed
     let (begin_ns, mut responses) = (monotonic_ns(), histogram());
     let (mut received, mut errors_m) = (0_usize, Vec::new());
     connection.reset_statistics()?;
-    let (before, begin) = (threads(daemon.id()), Instant::now());
+    let (before, begin) = (threads(daemon.process.id()), Instant::now());
     // Until the statistics cover `length`; they restart a moment after the request.
     let (length_ns, deadline) = (length.as_nanos() as u64, begin + length + TIMEOUT);
     let status = loop {
@@ -193,7 +193,7 @@ fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Observed
         }
         std::thread::sleep(READ_EVERY);
     };
-    let (after, passed) = (threads(daemon.id()), begin.elapsed());
+    let (after, passed) = (threads(daemon.process.id()), begin.elapsed());
     tracking.stop()?;
     let counted = status.since_reset;
     ensure!(counted.response.count > 0, "the daemon ran no cycle");

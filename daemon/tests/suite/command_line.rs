@@ -17,7 +17,7 @@ fn cdcrd_in(environment: &[(&str, &str)], arguments: &[&str]) -> Output {
     command.args(arguments).output().expect("cdcrd runs")
 }
 
-fn cdcrd(arguments: &[&str]) -> Output {
+pub(crate) fn cdcrd(arguments: &[&str]) -> Output {
     cdcrd_in(&[], arguments)
 }
 

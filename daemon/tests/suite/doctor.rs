@@ -2,10 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 use cdcr_scratch::Scratch;
 use serde_json::Value;
+
+use crate::command_line::cdcrd;
 
 /// Every key, as used by programs.
 const KEYS: &str = "\
@@ -16,15 +18,15 @@ const KEYS: &str = "\
 fn doctor(folder: &Path, realtime: &str, arguments: &[&str]) -> Output {
     let config = folder.join("robot.toml");
     std::fs::write(&config, format!("[realtime]\n{realtime}\n")).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_cdcrd"));
-    for (variable, _) in std::env::vars_os() {
-        if variable.to_string_lossy().starts_with("CDCR_") {
-            command.env_remove(variable);
-        }
-    }
-    command.arg("doctor").arg("--config").arg(&config);
-    command.arg("--root").arg(folder.join("root"));
-    command.args(arguments).output().unwrap()
+    let root = folder.join("root");
+    let options = [
+        "doctor",
+        "--config",
+        config.to_str().unwrap(),
+        "--root",
+        root.to_str().unwrap(),
+    ];
+    cdcrd(&[&options, arguments].concat())
 }
 
 fn json(output: &Output) -> Value {

@@ -9,6 +9,7 @@
     reason = "a library of this workspace: a comment that repeats a name helps nobody"
 )]
 
+mod daemon;
 mod folder;
 mod place;
 
@@ -26,6 +27,7 @@ use rustix::process::{
     Pid, Signal, WaitId, WaitIdOptions, kill_process, kill_process_group, waitid,
 };
 
+pub use daemon::PlacedDaemon;
 pub use folder::{check_writable, fill_folder, output_folder};
 pub use place::{PREFIX, Place, ROOT, cdcrd_in, in_public_memory};
 

@@ -4,7 +4,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
-use cdcr_client::{Connection, monotonic_ns};
+use cdcr_client::{Connection, ReferenceFeed, monotonic_ns};
 use cdcr_shared_types::codes::{ChunkMode, Interpolation};
 use cdcr_shared_types::limits::CHUNK_POINTS_MAX;
 use cdcr_shared_types::{Location, Obstacle, ReferencePoint};
@@ -14,7 +14,7 @@ use super::rate::every;
 use super::task::Signals;
 use crate::subject::ROBOT;
 
-const PERIOD: Duration = Duration::from_micros(100);
+pub const PERIOD: Duration = Duration::from_micros(100);
 /// Half in tests, because one test waits for it.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(if cfg!(test) { 5 } else { 10 });
 /// Number of obstacles in the flood. Small, because the load measures the cost of messages, not of a crowded
@@ -31,23 +31,28 @@ pub(super) fn references(target: &Location, signals: &Signals) -> Result<Done> {
         return Ok(done);
     };
     let feed = connection.reference_feed()?;
-    let mut points = [ReferencePoint::default(); CHUNK_POINTS_MAX];
     signals.works();
-    every(
-        PERIOD,
-        || signals.is_ending(),
-        || {
-            let begin_ns = monotonic_ns() + 1_000_000_000;
-            for (index, point) in points.iter_mut().enumerate() {
-                point.time_ns = begin_ns + index as u64 * 1_000_000;
-                point.position_m = [0.0, 0.0, 0.8];
-            }
-            feed.send(ChunkMode::Replace, Interpolation::Cubic, &points)?;
-            done.chunks += 1;
-            Ok(())
-        },
-    )?;
+    send_references(&feed, || signals.is_ending(), || done.chunks += 1)?;
     Ok(done)
+}
+
+/// Sends 10 000 chunks of references per second, which begin in a second, and reports each.
+pub fn send_references(
+    feed: &ReferenceFeed,
+    is_ending: impl Fn() -> bool,
+    mut sent: impl FnMut(),
+) -> Result<()> {
+    let mut points = [ReferencePoint::default(); CHUNK_POINTS_MAX];
+    every(PERIOD, is_ending, || {
+        let begin_ns = monotonic_ns() + 1_000_000_000;
+        for (index, point) in points.iter_mut().enumerate() {
+            point.time_ns = begin_ns + index as u64 * 1_000_000;
+            point.position_m = [0.0, 0.0, 0.8];
+        }
+        feed.send(ChunkMode::Replace, Interpolation::Cubic, &points)?;
+        sent();
+        Ok(())
+    })
 }
 
 /// Sends obstacle updates. The daemon accepts what its queue and its gather hold; the rest overflows. The

@@ -10,13 +10,13 @@
 
 mod disk;
 pub mod done;
-mod flood;
+pub mod flood;
 mod memory;
 mod processor;
 pub mod rate;
 mod stress_ng;
 mod task;
-mod visitors;
+pub mod visitors;
 
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};

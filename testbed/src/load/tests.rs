@@ -64,7 +64,7 @@ fn loads_on_a_daemon_do_their_work_and_leave_nothing() {
     let daemon = daemon(&cores);
     let before = files(&daemon);
     for load in [Load::Clients, Load::Flood, Load::All] {
-        prove(load, &cores, Some(daemon.location()));
+        prove(load, &cores, Some(daemon.place.location()));
         nothing_new(&daemon, &before);
     }
     daemon.stop().unwrap();
@@ -86,8 +86,8 @@ fn nothing_new(daemon: &Daemon, before: &BTreeSet<PathBuf>) {
 
 /// All files of a daemon and its clients in shared memory and in their folder.
 fn files(daemon: &Daemon) -> BTreeSet<PathBuf> {
-    let mut files = BTreeSet::from_iter(daemon.place().memory_files());
-    collect(daemon.location().root(), &mut files);
+    let mut files = BTreeSet::from_iter(daemon.place.memory_files());
+    collect(daemon.place.location().root(), &mut files);
     files
 }
 
@@ -107,7 +107,7 @@ fn the_flood_is_refused_or_far_away_as_it_should_be() {
     let cores = Cores::find().unwrap();
     let daemon = daemon(&cores);
     let connection = daemon.connect().unwrap();
-    let running = RunningLoad::start(Load::Flood, &cores, Some(daemon.location())).unwrap();
+    let running = RunningLoad::start(Load::Flood, &cores, Some(daemon.place.location())).unwrap();
     let (mut refused, mut accepted) = (0, 0);
     watch(&connection, |kind, outcome| match (kind, outcome) {
         (EventKind::Reference, outcome) => {

@@ -11,9 +11,9 @@ use super::task::Signals;
 use crate::subject::ROBOT;
 
 /// Number of threads. One thread manages ten visits a second, because connecting waits for a status message.
-pub(super) const COMERS: u32 = 5;
+pub const COMERS: u32 = 5;
 /// Period of one thread; together 30 clients a second.
-const PERIOD: Duration = Duration::from_micros(COMERS as u64 * 33_333);
+pub const PERIOD: Duration = Duration::from_micros(COMERS as u64 * 33_333);
 
 /// Connects and disconnects until the load ends; every second visit opens the telemetry. A connection that
 /// fails on a stalled machine is counted and is not an error.
@@ -27,7 +27,7 @@ pub(super) fn come_and_go(target: &Location, signals: &Signals) -> Done {
         || signals.is_ending(),
         || {
             turn += 1;
-            let granted = visit(target, turn.is_multiple_of(2));
+            let granted = visit(target, ROBOT, turn.is_multiple_of(2));
             done.clients += u64::from(granted);
             done.failed_clients += u64::from(!granted);
             Ok(())
@@ -36,8 +36,9 @@ pub(super) fn come_and_go(target: &Location, signals: &Signals) -> Done {
     done
 }
 
-fn visit(target: &Location, with_telemetry: bool) -> bool {
-    let Ok(connection) = Connection::open(target, ROBOT) else {
+/// Connects to a daemon and leaves. Returns whether it was granted.
+pub fn visit(target: &Location, robot: &str, with_telemetry: bool) -> bool {
+    let Ok(connection) = Connection::open(target, robot) else {
         return false;
     };
     !with_telemetry || connection.telemetry().is_ok()

@@ -6,11 +6,12 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use hdrhistogram::Histogram;
-use rustix::thread::{sched_getaffinity, sched_setaffinity};
+use rustix::thread::{CpuSet, sched_getaffinity};
 
 use cdcr_process::{Process, on_path, that_ends_with_us};
 
 use crate::quantiles::histogram;
+use crate::system::cores::with_affinity;
 
 /// Allowance for start, end and a slow machine, beyond the duration.
 const TIMEOUT: Duration = Duration::from_secs(30);
@@ -90,16 +91,9 @@ fn another(core: usize) -> Option<usize> {
 
 /// Calls `start` with `core` added to the affinity: cyclictest uses only the cores that it inherits.
 fn with_core<R>(core: usize, start: impl FnOnce() -> R) -> R {
-    let before = sched_getaffinity(None);
-    if let Ok(mut allowed) = before {
-        allowed.set(core);
-        let _ = sched_setaffinity(None, &allowed);
-    }
-    let result = start();
-    if let Ok(before) = before {
-        let _ = sched_setaffinity(None, &before);
-    }
-    result
+    let mut allowed = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
+    allowed.set(core);
+    with_affinity(&allowed, start)
 }
 
 #[derive(Debug)]

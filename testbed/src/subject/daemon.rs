@@ -3,26 +3,21 @@
 use std::fmt::Display;
 use std::path::PathBuf;
 use std::process::Command;
-use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Result, bail, ensure};
 use cdcr_client::Connection;
-use cdcr_process::{Place, Process, program};
+use cdcr_process::{Place, PlacedDaemon, program};
 use cdcr_shared_types::Location;
-use cdcr_shared_types::codes::Mode;
+use derive_more::Deref;
 
 use super::{ROBOT, TIMEOUT};
 use crate::interrupt;
 use crate::system::cores::Cores;
 
-/// Configuration keys that a measurement needs: on a machine that stalls, the robot must not stop or hold for
-/// lack of inputs, nor may the lease of the reference expire.
-pub const STALL_TOLERANT: [(&str, &str); 3] = [
-    ("link.command_valid_ms", "100"),
-    ("cycle.miss_limit", "1000000"),
-    ("reference.lease_ms", "60000"),
-];
+/// Keys of a configuration, before its tables: on a machine that stalls, no deadline miss stops the robot, and no lease
+/// of the reference expires.
+pub const STALL_TOLERANT: &str = "cycle.miss_limit = 1000000\nreference.lease_ms = 60000.0\n";
 
 #[derive(Debug, Clone, Default)]
 pub struct Launch {
@@ -33,15 +28,17 @@ pub struct Launch {
 }
 
 impl Launch {
-    /// The default or the given file, with [`STALL_TOLERANT`].
+    /// The default or the given file, with [`STALL_TOLERANT`], and commands that stay valid for a stall.
     pub fn stall_tolerant(config: Option<PathBuf>) -> Self {
         let launch = Self {
             config,
             settings: Vec::new(),
         };
-        STALL_TOLERANT
-            .iter()
-            .fold(launch, |launch, (key, value)| launch.with(key, value))
+        let keys = STALL_TOLERANT
+            .lines()
+            .filter_map(|line| line.split_once(" = "));
+        keys.fold(launch, |launch, (key, value)| launch.with(key, value))
+            .with("link.command_valid_ms", 100)
     }
 
     /// Sets one more key, like `cycle.period_ms`.
@@ -108,13 +105,8 @@ impl Launch {
 }
 
 /// A running daemon. Dropping it stops the daemon and removes all of its files.
-#[derive(Debug)]
-pub struct Daemon {
-    /// Declared before the place, so that the process ends before its files are removed.
-    process: Process,
-    place: Place,
-    pub launch: Launch,
-}
+#[derive(Debug, Deref)]
+pub struct Daemon(PlacedDaemon);
 
 impl Daemon {
     /// Starts a daemon and waits until it controls its robot. Call it from a thread that outlives the daemon.
@@ -130,78 +122,39 @@ impl Daemon {
     ) -> Result<Self> {
         let place = Place::new()?;
         let mut command = launch.command_that_ends_with_us("run")?;
-        command
-            .args(["--robot", ROBOT, "--prefix", place.location().prefix()])
-            .arg("--root")
-            .arg(place.location().root());
         change(&mut command);
-        Ok(Self {
-            process: cores.with_all(|| Process::start("cdcrd", command))?,
-            place,
-            launch: launch.clone(),
-        })
+        let placed = cores.with_all(|| PlacedDaemon::start(place, ROBOT, command))?;
+        Ok(Self(placed))
     }
 
     /// Waits until the daemon controls its robot or, with a driver, waits for a first measurement.
     pub fn when_ready(mut self) -> Result<Self> {
-        let deadline = Instant::now() + TIMEOUT;
-        let mut last = "it did not start to control its robot".to_owned();
-        while Instant::now() < deadline {
+        let connect = |location: &Location| {
+            let connection = Connection::open(location, ROBOT)?;
+            Ok(((), connection.status(Duration::from_secs(1))?))
+        };
+        let ready = self.0.when_ready(TIMEOUT, interrupt::check, connect);
+        ready.or_else(|cause| {
             interrupt::check()?;
-            ensure!(
-                !self.process.has_ended()?,
-                "the daemon ended at once{}",
-                self.output_tail()
-            );
-            match self.connect() {
-                Ok(connection) if is_ready(&connection) => return Ok(self),
-                Ok(_) => {}
-                Err(cause) => last = cause.to_string(),
-            }
-            thread::sleep(Duration::from_millis(10));
-        }
-        bail!(
-            "the daemon was not ready within {} s: {last}{}",
-            TIMEOUT.as_secs(),
-            self.output_tail()
-        )
-    }
-
-    pub fn location(&self) -> &Location {
-        self.place.location()
-    }
-
-    pub fn place(&self) -> &Place {
-        &self.place
-    }
-
-    pub fn id(&self) -> u32 {
-        self.process.id()
+            bail!("{cause:#}{}", self.process.output_tail())
+        })?;
+        Ok(self)
     }
 
     pub fn connect(&self) -> Result<Connection> {
-        Ok(Connection::open_within(self.location(), ROBOT, TIMEOUT)?)
+        Ok(Connection::open_within(
+            self.place.location(),
+            ROBOT,
+            TIMEOUT,
+        )?)
     }
 
     pub fn stop(mut self) -> Result<()> {
         ensure!(
-            !self.process.has_ended()?,
+            !self.0.process.has_ended()?,
             "the daemon ended by itself{}",
-            self.output_tail()
+            self.process.output_tail()
         );
-        self.process.end()
+        self.0.process.end()
     }
-
-    pub fn output_tail(&self) -> String {
-        self.process.output_tail()
-    }
-}
-
-fn is_ready(connection: &Connection) -> bool {
-    connection
-        .status(Duration::from_secs(1))
-        .is_ok_and(|status| {
-            let driven = status.link == cdcr_shared_types::codes::RobotLink::Driver.code();
-            driven || status.mode != Mode::Starting.code()
-        })
 }

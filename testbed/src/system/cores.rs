@@ -46,35 +46,27 @@ impl Cores {
     /// The same for processes that must never run on the real-time core.
     #[must_use]
     pub fn without_realtime(&self) -> Self {
-        let mut all = CpuSet::new();
-        for core in &self.others {
-            all.set(*core);
-        }
         Self {
-            all,
+            all: self.set_of_others(),
             ..self.clone()
         }
     }
 
     /// Excludes the real-time core for the calling thread and the threads that it starts later.
     pub fn stay_off(&self) {
-        let mut allowed = CpuSet::new();
-        for core in &self.others {
-            allowed.set(*core);
-        }
         // When refused, the thread may use all cores, and delays the daemon only when it has work.
-        let _ = sched_setaffinity(None, &allowed);
+        let _ = sched_setaffinity(None, &self.set_of_others());
+    }
+
+    fn set_of_others(&self) -> CpuSet {
+        let mut set = CpuSet::new();
+        self.others.iter().for_each(|core| set.set(*core));
+        set
     }
 
     /// Calls `start` with all cores allowed, so that the process that it starts may choose its cores.
     pub fn with_all<R>(&self, start: impl FnOnce() -> R) -> R {
-        let before = sched_getaffinity(None);
-        let _ = sched_setaffinity(None, &self.all);
-        let result = start();
-        if let Ok(before) = before {
-            let _ = sched_setaffinity(None, &before);
-        }
-        result
+        with_affinity(&self.all, start)
     }
 
     /// Runs `work` on a separate thread on the client's core; with `realtime`, before all ordinary tasks.
@@ -93,6 +85,17 @@ impl Cores {
         let worked = thread::scope(|scope| scope.spawn(work).join());
         worked.map_err(|_| anyhow!("the client panicked"))?
     }
+}
+
+/// Calls `start` with this affinity, as far as the system grants it.
+pub(crate) fn with_affinity<R>(allowed: &CpuSet, start: impl FnOnce() -> R) -> R {
+    let before = sched_getaffinity(None);
+    let _ = sched_setaffinity(None, allowed);
+    let result = start();
+    if let Ok(before) = before {
+        let _ = sched_setaffinity(None, &before);
+    }
+    result
 }
 
 #[cfg(test)]

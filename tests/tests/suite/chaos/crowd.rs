@@ -72,13 +72,8 @@ impl Crowd {
     }
 
     /// Repeats `work` in a thread for a while.
-    pub(crate) fn busy(&mut self, duration: Duration, mut work: impl FnMut() + Send + 'static) {
-        let (until, ending) = (Instant::now() + duration, self.ending.clone());
-        self.threads.push(std::thread::spawn(move || {
-            while Instant::now() < until && !ending.load(Ordering::Relaxed) {
-                work();
-            }
-        }));
+    pub(crate) fn busy(&mut self, duration: Duration, work: impl FnMut() + Send + 'static) {
+        self.busy_with(duration, || Some(work));
     }
 
     /// Calls `make` in a thread, and then repeats its result for a while.

@@ -18,9 +18,9 @@ use cdcr_daemon::rt::suspend::SuspendWatch;
 use cdcr_daemon::rt::sys::set_fifo;
 use cdcr_shared_types::codes::{LateCause, Mode, Reason, RequestKind, timing};
 use cdcr_test_skip::{Need, skip};
+use cdcr_testbed::system::thread::pin;
 use cdcr_tests::{Daemon, TIMEOUT, wait_status};
 use rustix::process::Signal;
-use rustix::thread::{CpuSet, sched_setaffinity};
 use rustix::time::{ClockId, Timespec, clock_gettime, clock_settime};
 
 use crate::faults::trail::{Trail, alone, is, say};
@@ -99,9 +99,7 @@ const HOGGED: Duration = Duration::from_millis(180);
 
 /// Occupies `core` for `time`, at the highest priority that `packaging/limits.conf` grants.
 fn hog(core: usize, time: Duration) {
-    let mut cores = CpuSet::new();
-    cores.set(core);
-    sched_setaffinity(None, &cores).unwrap();
+    assert!(pin(core));
     set_fifo(90).unwrap();
     let begin = Instant::now();
     while begin.elapsed() < time {

@@ -5,6 +5,7 @@ use std::time::Duration;
 use cdcr_client::RequestError;
 use cdcr_shared_types::SolverSettings;
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
+use cdcr_shared_types::proc_stat::has_bit;
 use cdcr_tests::threads::{Hung, find_thread};
 use cdcr_tests::{
     Daemon, STALL_TOLERANT, TIMEOUT, ask_for, refused, text, until_undisturbed, wait_status,
@@ -63,9 +64,7 @@ fn only_the_cycle_takes_the_signal() {
     let tasks = std::fs::read_dir(format!("/proc/{}/task", daemon.id())).unwrap();
     for task in tasks.flatten().map(|task| task.path()) {
         let status = std::fs::read_to_string(task.join("status")).unwrap();
-        let blocked = status.lines().find_map(|line| line.strip_prefix("SigBlk:"));
-        let blocked = u64::from_str_radix(blocked.unwrap().trim(), 16).unwrap();
-        let takes = blocked & (1 << (Signal::USR1.as_raw() - 1)) == 0;
+        let takes = !has_bit(&status, "SigBlk", Signal::USR1.as_raw().cast_unsigned() - 1);
         let is_cycle = task.ends_with(cycle.to_string());
         assert_eq!(takes, is_cycle, "{status}");
     }

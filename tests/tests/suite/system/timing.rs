@@ -194,7 +194,7 @@ fn a_thread_that_spins_starts_more_punctually() {
     // Of the most punctual tenth: the others depend on the load of the machine.
     let wake_ns = |spin_us: f64| {
         let daemon = Daemon::start(&format!(
-            "[realtime]\nspin_us = {spin_us}\n{STALL_TOLERANT}"
+            "{STALL_TOLERANT}[realtime]\nspin_us = {spin_us}\n"
         ));
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();

@@ -2,12 +2,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use cdcr_process::Process;
 use cdcr_shared_types::BareSummary;
 use serde::Serialize;
 
-use super::daemon::cdcrd;
+use super::daemon::{cdcrd, undisturbed};
 use crate::interrupt::Interrupt;
 use crate::spread::Spread;
 
@@ -41,10 +41,7 @@ impl Baseline {
         for name in ["CDCR_ROBOT", "CDCR_PREFIX", "CDCR_ROOT"] {
             command.env_remove(name);
         }
-        let undisturbed = || {
-            ensure!(!interrupt.is_raised(), "interrupted");
-            Ok(())
-        };
+        let undisturbed = || undisturbed(interrupt);
         let ended = Process::start("cdcrd bare", command)?.wait(TIMEOUT, undisturbed);
         if interrupt.is_raised() {
             return Ok(None);

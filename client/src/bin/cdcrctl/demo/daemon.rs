@@ -1,12 +1,12 @@
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::{Duration, Instant};
-use std::{fs, thread};
+use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, ensure};
 use cdcr_client::Connection;
-use cdcr_process::{Place, Process, program};
-use cdcr_shared_types::codes::Mode;
+use cdcr_process::{Place, PlacedDaemon, program};
+use cdcr_shared_types::Location;
 
 use crate::interrupt::Interrupt;
 
@@ -36,56 +36,45 @@ pub(super) fn cdcrd(subcommand: &str, config: &Path) -> anyhow::Result<Command> 
     Ok(command)
 }
 
-/// A daemon in a private place. Dropping it stops the daemon and removes all files.
-pub(super) struct DemoDaemon {
-    /// Declared before its place, so that it ends first.
-    process: Process,
-    place: Place,
+/// Fails when the demo is interrupted.
+pub(super) fn undisturbed(interrupt: &Interrupt) -> anyhow::Result<()> {
+    ensure!(!interrupt.is_raised(), "interrupted");
+    Ok(())
 }
+
+/// The daemon of the demo.
+pub(super) struct DemoDaemon(PlacedDaemon);
 
 impl DemoDaemon {
     pub(super) fn start(place: Place, config: &Path) -> anyhow::Result<Self> {
-        let mut command = cdcrd("run", config)?;
-        command
-            .args(["--robot", ROBOT, "--prefix", place.location().prefix()])
-            .arg("--root")
-            .arg(place.location().root());
-        let process = Process::start("the demo's cdcrd", command)?;
-        Ok(Self { process, place })
+        let run = cdcrd("run", config)?;
+        Ok(Self(PlacedDaemon::start(place, ROBOT, run)?))
     }
 
     /// Waits until the daemon controls its robot. `None`: interrupted.
     pub(super) fn connect(&mut self, interrupt: &Interrupt) -> anyhow::Result<Option<Connection>> {
-        let deadline = Instant::now() + START_TIMEOUT;
-        let mut last = "it did not start to control its robot".to_owned();
-        while Instant::now() < deadline {
-            if interrupt.is_raised() {
-                return Ok(None);
-            }
-            if self.process.has_ended()? {
-                bail!(self.explained("the demo's daemon ended at once"));
-            }
-            match Connection::open(self.place.location(), ROBOT) {
-                Ok(connection) if is_running(&connection) => return Ok(Some(connection)),
-                Ok(_) => {}
-                Err(cause) => last = cause.to_string(),
-            }
-            thread::sleep(Duration::from_millis(20));
+        let connect = |location: &Location| {
+            let connection = Connection::open(location, ROBOT)?;
+            let status = connection.status(Duration::from_secs(1))?;
+            Ok((connection, status))
+        };
+        let check = || undisturbed(interrupt);
+        let ready = self.0.when_ready(START_TIMEOUT, check, connect);
+        if interrupt.is_raised() {
+            return Ok(None);
         }
-        let limit_s = START_TIMEOUT.as_secs();
-        bail!(self.explained(&format!(
-            "the demo's daemon was not ready within {limit_s} s: {last}"
-        )))
+        let explained = |cause| anyhow!(self.explained(&format!("{cause:#}")));
+        ready.map(Some).map_err(explained)
     }
 
     /// Appends the daemon's log to an error text.
     pub(super) fn explained(&self, what: &str) -> String {
-        explained(what, &self.process.stderr())
+        explained(what, &self.0.process.stderr())
     }
 
     /// Stops the daemon and waits for its end.
     pub(super) fn stop(&mut self) -> anyhow::Result<()> {
-        self.process.end()
+        self.0.process.end()
     }
 }
 
@@ -96,12 +85,6 @@ fn explained(what: &str, log: &str) -> String {
     let (warnings, error): (Vec<_>, Vec<_>) =
         lines.partition(|line| line.contains("Z  WARN ") || line.contains("Z ERROR "));
     [error, vec![what], warnings].concat().join("\n")
-}
-
-fn is_running(connection: &Connection) -> bool {
-    connection
-        .status(Duration::from_secs(1))
-        .is_ok_and(|status| status.mode != Mode::Starting.code())
 }
 
 #[cfg(test)]
