@@ -5,7 +5,7 @@
 
 mod bits;
 
-pub use bits::{guard, realtime, timing};
+pub use bits::{RTPRIO_GRANTED, guard, realtime, timing};
 
 /// Declares a wire enumeration with its values, its checked conversion and a text for users, which begins its
 /// documentation.

@@ -1,5 +1,7 @@
 //! Privileges: priority, core, locked memory.
 
+use cdcr_shared_types::codes::RTPRIO_GRANTED;
+
 use super::finding::{Assessed, problem};
 use super::{Observations, Reading, unreadable};
 
@@ -8,9 +10,6 @@ const LOCKED_BYTES: u64 = 512 << 20;
 
 const CAP_IPC_LOCK: u32 = 14;
 const CAP_SYS_NICE: u32 = 23;
-
-/// The priority granted by the service unit and the package's `limits.d` file.
-const RTPRIO: i32 = 90;
 
 /// The remedy for a resource limit. It grants no file capabilities: the unit drops all capabilities and could
 /// not even start such a file, and every user who may execute the file would get them.
@@ -47,7 +46,7 @@ pub(super) fn fifo(observed: &Observations) -> Assessed {
             => "in a systemd unit: RestrictRealtime=no; else see `RT group` below");
     }
     let limit = observed.probe.rtprio_max.unwrap_or(u64::MAX);
-    let enough = priority.max(RTPRIO);
+    let enough = priority.max(RTPRIO_GRANTED);
     let remedy = grant(&format!("rtprio {enough}"), &format!("rtprio={enough}"));
     problem!(observed.missing(), "refused at priority {priority}: RLIMIT_RTPRIO is {limit}, no CAP_SYS_NICE ({refusal})"
         => "{remedy}")

@@ -1,13 +1,19 @@
 //! The unit for the service manager matches the program.
 
 use cdcr_daemon::exit::ExitCause;
+use cdcr_shared_types::codes::RTPRIO_GRANTED;
 
 const UNIT: &str = include_str!("../../../packaging/cdcrd.service");
 
-/// The value of a key of the unit.
+/// The rest of the line that begins with `key`.
+fn value_in<'t>(text: &'t str, key: &str) -> &'t str {
+    text.lines()
+        .find_map(|line| line.strip_prefix(key))
+        .unwrap()
+}
+
 fn value(key: &str) -> &'static str {
-    let mut lines = UNIT.lines();
-    lines.find_map(|line| line.strip_prefix(key)).unwrap()
+    value_in(UNIT, key)
 }
 
 #[test]
@@ -24,6 +30,16 @@ fn the_unit_leaves_alone_what_a_restart_cannot_repair() {
         ExitCause::Configuration,
     ];
     assert_eq!(named, hopeless.map(ExitCause::code));
+}
+
+#[test]
+fn unit_and_limits_file_grant_the_priority_that_the_remedies_name() {
+    const LIMITS: &str = include_str!("../../../packaging/limits.conf");
+    assert_eq!(value("LimitRTPRIO="), RTPRIO_GRANTED.to_string());
+    assert_eq!(
+        value_in(LIMITS, "@cdcr - rtprio "),
+        RTPRIO_GRANTED.to_string()
+    );
 }
 
 /// Clients find a daemon by its name among the abstract sockets, which also refuses a second daemon if the

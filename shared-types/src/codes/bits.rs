@@ -1,9 +1,18 @@
 //! Bit fields of the wire protocol.
 
+macro_rules! rtprio {
+    () => {
+        90
+    };
+}
+
+/// The priority that the service unit and the package's `limits.d` file grant.
+pub const RTPRIO_GRANTED: i32 = rtprio!();
+
 /// Declares bits with their names and, if something is missing, its remedy.
 macro_rules! wire_bits {
     ($($(#[$meta:meta])* $module:ident {
-        $($(#[doc = $doc:literal])+ $bit:ident = $shift:literal: $name:literal $(, $remedy:literal)?;)+
+        $($(#[doc = $doc:literal])+ $bit:ident = $shift:literal: $name:literal $(, $remedy:expr)?;)+
     })+) => { $(
         $(#[$meta])*
         pub mod $module {
@@ -55,7 +64,7 @@ wire_bits! {
     realtime {
         /// The real-time threads do not have `SCHED_FIFO`.
         FIFO = 0: "SCHED_FIFO",
-            "grant rtprio 90 (LimitRTPRIO of a unit, limits.d, or --ulimit in a container)";
+            concat!("grant rtprio ", rtprio!(), ", or realtime.cycle_priority if that is higher (LimitRTPRIO of a unit, limits.d, or --ulimit in a container)");
         /// The real-time threads are not pinned to their core.
         PINNED = 1: "core pinning", "choose a core that the process may use (realtime.core)";
         /// Memory is not locked.

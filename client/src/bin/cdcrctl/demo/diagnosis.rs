@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use cdcr_shared_types::codes::{LateCause, realtime};
+use cdcr_shared_types::codes::{LateCause, RTPRIO_GRANTED, realtime};
 use rustix::process::geteuid;
 use serde::Serialize;
 
@@ -38,7 +38,7 @@ pub(super) struct Diagnosis {
     pub(super) text: String,
     pub(super) next: Option<String>,
     /// Command that grants real-time priority, if that is missing.
-    pub(super) grant: Option<&'static str>,
+    pub(super) grant: Option<String>,
 }
 
 impl Diagnosis {
@@ -157,11 +157,13 @@ fn doctor(started_as: &Path) -> String {
 
 /// The command that grants real-time priority to the shell that runs it. If root lacks it, the process is in
 /// a container.
-fn grant(is_root: bool) -> &'static str {
+fn grant(is_root: bool) -> String {
     if is_root {
-        "in a container: docker run --ulimit rtprio=90 --ulimit memlock=-1 ..."
+        format!(
+            "in a container: docker run --ulimit rtprio={RTPRIO_GRANTED} --ulimit memlock=-1 ..."
+        )
     } else {
-        "sudo prlimit --pid $$ --rtprio=90 --memlock=unlimited"
+        format!("sudo prlimit --pid $$ --rtprio={RTPRIO_GRANTED} --memlock=unlimited")
     }
 }
 

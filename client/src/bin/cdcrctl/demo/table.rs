@@ -139,7 +139,7 @@ fn beside(out: &mut String, report: &DemoReport) -> Result<(), Error> {
 
 fn diagnosis(out: &mut String, diagnosis: &Diagnosis) -> Result<(), Error> {
     writeln!(out, "\n{}", wrapped(&diagnosis.text))?;
-    if let Some(grant) = diagnosis.grant {
+    if let Some(grant) = &diagnosis.grant {
         writeln!(out, "Grant real time: {grant}")?;
     }
     match &diagnosis.next {
