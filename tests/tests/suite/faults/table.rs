@@ -2,8 +2,6 @@
 
 use std::path::Path;
 
-use cdcr_daemon::exit::ExitCause;
-
 fn workspace() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
 }
@@ -55,17 +53,4 @@ fn every_fault_names_a_test_that_is_there() {
             assert!(is_there, "{} has no test {function}", path.display());
         }
     }
-}
-
-#[test]
-fn every_end_has_its_row() {
-    let page = page();
-    let (_, section) = page.split_once("\n## Exit statuses\n").unwrap();
-    let section = section.split("\n## ").next().unwrap();
-    let lines = section.lines().filter_map(|line| line.strip_prefix("| "));
-    // Head and rule have no number.
-    let statuses: Vec<u8> = lines
-        .filter_map(|line| line.split(' ').next()?.parse().ok())
-        .collect();
-    assert_eq!(statuses, ExitCause::ALL.map(ExitCause::code));
 }
