@@ -35,7 +35,7 @@ pub(crate) fn read(py: Python<'_>, path: PathBuf, every: i128) -> PyResult<Bound
     let found = PyDict::new(py);
     for (topic, records) in Topic::ALL.into_iter().zip(recording.found) {
         if records.count() > 0 {
-            found.set_item(word(topic), records)?;
+            found.set_item(topic.service().key(), records)?;
         }
     }
     if recording.is_cut {
@@ -151,17 +151,6 @@ impl Recording {
             }
         }
         Ok(true)
-    }
-}
-
-/// The last part of a topic, such as "telemetry".
-fn word(topic: Topic) -> &'static str {
-    match topic {
-        Topic::Telemetry => "telemetry",
-        Topic::Reference => "reference",
-        Topic::Obstacles => "obstacles",
-        Topic::Status => "status",
-        Topic::Incidents => "incidents",
     }
 }
 

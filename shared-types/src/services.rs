@@ -167,8 +167,13 @@ impl Service {
         if !Location::is_legal_name(robot) {
             return Err(error());
         }
-        let name = format!("cdcr/{robot}/{}", self.key());
+        let name = self.full_name(robot);
         name.as_str().try_into().map_err(|_| error())
+    }
+
+    /// Full name `cdcr/<robot>/<key>`, unchecked.
+    pub fn full_name(self, robot: &str) -> String {
+        format!("cdcr/{robot}/{}", self.key())
     }
 }
 

@@ -9,7 +9,7 @@ use cdcr_shared_types::{BareSummary, LatencySummary};
 use clap::{Args, ValueEnum};
 
 use super::{ConfigSource, end_with_process};
-use crate::bare::{self, BareCycle, Outcome};
+use crate::bare::{self, BareCycle, COLUMNS, Outcome};
 
 /// Help text after the options.
 pub(super) fn after_help() -> String {
@@ -71,6 +71,9 @@ fn duration(text: &str) -> Result<Duration, String> {
     if let Some(Ok(seconds)) = seconds.map(str::parse::<f64>) {
         return Duration::try_from_secs_f64(seconds).map_err(|cause| cause.to_string());
     }
+    if text.trim().parse::<f64>().is_ok() {
+        return Err("a unit is missing: use for example 10s or 250ms".to_owned());
+    }
     humantime::parse_duration(text).map_err(|cause| format!("{cause} (for example 10s or 250ms)"))
 }
 
@@ -86,11 +89,7 @@ fn write(out: &mut impl Write, format: Format, outcome: &Outcome) -> io::Result<
 }
 
 fn write_csv(out: &mut impl Write, cycles: &[BareCycle]) -> io::Result<()> {
-    writeln!(
-        out,
-        "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,run_delay_ns,page_faults,\
-         cause"
-    )?;
+    writeln!(out, "{COLUMNS}")?;
     for cycle in cycles {
         let release = &cycle.release;
         let (run_delay_ns, page_faults) = match cycle.interference {
@@ -254,7 +253,7 @@ mod tests {
     #[test]
     fn a_line_of_csv_for_each_cycle_and_nothing_where_nothing_is_reported() {
         let expected = [
-            "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,run_delay_ns,page_faults,cause",
+            COLUMNS,
             "3,200,310,350,1,1,0,70,2,2",
             "3,200,310,350,1,1,0,,,4",
         ];
@@ -297,7 +296,8 @@ core             1
         assert_eq!(duration("0.5s"), Ok(Duration::from_millis(500)));
         assert_eq!(duration("250ms"), Ok(Duration::from_millis(250)));
         assert_eq!(duration("1m 10s"), Ok(Duration::from_secs(70)));
-        for text in ["", "5", "-1s", "nans", "infs", "1e300s", "soon"] {
+        assert!(duration("5").is_err_and(|error| error.starts_with("a unit is missing")));
+        for text in ["", "-1s", "nans", "infs", "1e300s", "soon"] {
             assert!(duration(text).is_err(), "{text}");
         }
     }

@@ -138,12 +138,8 @@ impl Ports {
     }
 }
 
-fn full_name(service: Service, robot: &str) -> String {
-    format!("cdcr/{robot}/{}", service.key())
-}
-
 fn failed(service: Service, robot: &str) -> impl Fn(&dyn Debug) -> ServiceError {
-    let service = full_name(service, robot);
+    let service = service.full_name(robot);
     move |cause| ServiceError::Service {
         service: service.clone(),
         cause: ipc::words(cause),
@@ -159,7 +155,7 @@ fn with_space<P>(
     create: impl FnOnce() -> Result<P, ServiceError>,
 ) -> Result<P, ServiceError> {
     let full = |lack: InsufficientSpace| {
-        let what = format!("the service {}", full_name(service, robot));
+        let what = format!("the service {}", service.full_name(robot));
         ServiceError::Full { what, lack }
     };
     let space = ShmSpace::from_node(node);
@@ -221,7 +217,7 @@ pub fn publisher<T: ZeroCopySend + Debug + 'static>(
         stale::create_in_free_slot(node, topic.service_hash(), ports, is_full, create).map_err(
             |cause| match cause {
                 PublisherCreateError::ExceedsMaxSupportedPublishers => ServiceError::Taken {
-                    service: full_name(service, robot),
+                    service: service.full_name(robot),
                 },
                 cause => failed(service, robot)(&cause),
             },

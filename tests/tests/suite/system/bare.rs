@@ -4,13 +4,12 @@ use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;
 
+use cdcr_daemon::bare::COLUMNS;
 use cdcr_shared_types::codes::LateCause;
 use cdcr_tests::threads::find_thread;
 use cdcr_tests::{Place, Program, text, wait_until};
 use rustix::process::Signal;
 
-const HEADER: &str = "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,run_delay_ns,\
-                      page_faults,cause";
 const PERIOD_NS: u64 = 5_000_000;
 
 fn bare(place: &Place, arguments: &[&str]) -> Command {
@@ -33,13 +32,13 @@ struct Line {
 
 fn lines(csv: &str) -> Vec<Line> {
     let mut lines = csv.lines();
-    assert_eq!(lines.next(), Some(HEADER));
+    assert_eq!(lines.next(), Some(COLUMNS));
     lines.map(line).collect()
 }
 
 fn line(line: &str) -> Line {
     let columns: Vec<&str> = line.split(',').collect();
-    assert_eq!(columns.len(), HEADER.split(',').count(), "{line}");
+    assert_eq!(columns.len(), COLUMNS.split(',').count(), "{line}");
     let number = |index: usize| columns[index].parse::<u64>().unwrap();
     let flag = |index: usize| match columns[index] {
         "0" => false,
