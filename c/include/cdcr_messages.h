@@ -41,6 +41,9 @@
 /* Points that the daemon buffers ahead: 32 full chunks, 20 s of a reference sampled at 5 ms. */
 #define CDCR_REFERENCE_POINTS_MAX 4096
 
+/* Largest time from the arrival of a reference point to the point [s], and longest reference: a day. */
+#define CDCR_REFERENCE_AHEAD_S_MAX 86400
+
 /* Obstacles known to the daemon at one time, and obstacles in one message. */
 #define CDCR_OBSTACLES_MAX 64
 
@@ -50,6 +53,13 @@
 
 /* Speed of an obstacle [m/s]: faster than anything beside a robot. */
 #define CDCR_OBSTACLE_SPEED_M_S_MAX 100
+
+/* Longest period of a daemon [ms], and so the longest time of one solve. */
+#define CDCR_PERIOD_MS_MAX 100
+
+/* Age of a request at its arrival [ms]: an older one waited while the daemon or its client was stopped. A client
+ * waits as long for the answer. */
+#define CDCR_REQUEST_AGE_MS_MAX 1000
 
 /* Prediction steps N of the optimal control problem. */
 #define CDCR_HORIZON_STEPS_MAX 50
@@ -80,6 +90,15 @@
 /* A tip sensor beside bends or cables that has measured nothing for this long is silent [ms]: some frames of a
  * slow camera. */
 #define CDCR_TIP_SENSOR_SILENT_MS 1000
+
+/* A robot that was held by its motors is not measured farther from where its last command left it: a bend of a
+ * section [rad]. Beyond, its encoders may have lost their zero, and a reset has to accept the pose. */
+#define CDCR_POSE_DIFFERS_RAD 0.2
+
+/* Bends this far beyond their limit are held, not a fault: the daemon commands the position where the robot is
+ * measured, and its driver accepts it. The same tolerance applies between a first position and the measurement
+ * [rad]. */
+#define CDCR_BEND_TOLERANCE_RAD 0.05
 
 /* Bytes of a text in a message (robot name, build), UTF-8, padded with zeros. */
 #define CDCR_TEXT_BYTES 48

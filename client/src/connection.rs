@@ -2,6 +2,7 @@ use std::cell::{Cell, RefCell};
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Interface, RequestKind};
+use cdcr_shared_types::limits::REQUEST_AGE_MS_MAX;
 use cdcr_shared_types::{
     Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service,
     SolverSettings, Status,
@@ -12,14 +13,14 @@ use crate::outlet::Outlet;
 use crate::request::Control;
 use crate::sender::MessageSender;
 use crate::services::{Services, check_clock, check_owner};
-use crate::status_reader::{STATUS_FRESH, StatusReader};
+use crate::status_reader::{STATUS_TIMEOUT, StatusReader};
 use crate::{
     CommandStream, ConnectError, Driver, LinkError, ObstacleSender, ReferenceFeed, RequestError,
     Stream, TelemetryStream, TipSensor, monotonic_ns,
 };
 
-/// Timeout of a request; a daemon answers within a few cycles of 5 ms.
-pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_secs(1);
+/// Timeout for a free connection, and for the answer to a request: a daemon answers within a few cycles of 5 ms.
+pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_millis(REQUEST_AGE_MS_MAX as u64);
 
 /// An open connection to one daemon.
 ///
@@ -73,7 +74,7 @@ impl Connection {
             control,
             leases: Cell::new(0),
         };
-        match connection.status(STATUS_FRESH) {
+        match connection.status(STATUS_TIMEOUT) {
             Ok(_) => Ok(connection),
             Err(_) => Err(no_status(location, &connection.place)),
         }
@@ -231,7 +232,7 @@ impl Connection {
     /// # Errors
     /// When the service has as many writers as it allows.
     pub fn obstacle_sender(&self) -> Result<ObstacleSender, LinkError> {
-        let status = self.status(STATUS_FRESH).ok();
+        let status = self.status(STATUS_TIMEOUT).ok();
         let robot = status.map(|status| status.robot);
         let outlet = Outlet::open(&self.services.obstacles, self.sender.clone())?;
         Ok(ObstacleSender { outlet, robot })
@@ -245,7 +246,7 @@ impl Connection {
     /// When the services have as many writers or readers as they allow, or [`LinkError::Silent`] when the
     /// daemon sends no status.
     pub fn driver(&self, interface: Interface) -> Result<Driver, LinkError> {
-        let robot = self.status(STATUS_FRESH)?.robot;
+        let robot = self.status(STATUS_TIMEOUT)?.robot;
         let Services {
             measurement,
             command,
@@ -260,7 +261,7 @@ impl Connection {
     /// When the service has as many writers as it allows, or [`LinkError::Silent`] when the daemon sends no
     /// status.
     pub fn tip_sensor(&self) -> Result<TipSensor, LinkError> {
-        let status = self.status(STATUS_FRESH)?;
+        let status = self.status(STATUS_TIMEOUT)?;
         TipSensor::open(&self.services.measurement, self.sender.clone(), &status)
     }
 

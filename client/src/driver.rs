@@ -17,7 +17,7 @@ use crate::connect_error::{Place, no_status, retry};
 use crate::outlet::Outlet;
 use crate::sender::MessageSender;
 use crate::services::{Channel, DriverServices, check_clock, check_owner};
-use crate::status_reader::{STATUS_FRESH, StatusReader};
+use crate::status_reader::{STATUS_TIMEOUT, StatusReader};
 use crate::stream::Stream;
 use crate::{CommandStream, ConnectError, LinkError, monotonic_ns};
 
@@ -108,7 +108,7 @@ impl Driver {
         check_clock(location, &place)?;
         let services = DriverServices::open(location, &place)?;
         let mut statuses = StatusReader::new(Stream::open_reserved(&services.status)?);
-        let status = statuses.fresh_within(STATUS_FRESH)?;
+        let status = statuses.fresh_within(STATUS_TIMEOUT)?;
         let robot = status.ok_or_else(|| no_status(location, &place))?.robot;
         let DriverServices {
             measurement,

@@ -119,6 +119,7 @@ pub use remedy::{reason_remedy, remedy, request_remedy};
 pub use request::{PoseDifference, RequestError, RequestName};
 pub use requester::{Requester, StopError};
 pub use robot::{realtime_missing, section_lengths_m, straight_cable_lengths_m, text};
+pub use status_reader::STATUS_TIMEOUT;
 pub use stream::{CommandStream, Stream, TelemetryStream};
 pub use tip_sensor::TipSensor;
 #[cfg(feature = "model")]

@@ -1,5 +1,3 @@
-use std::time::Duration;
-
 use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, true_robot};
 use cdcr_controller::robot::{Configuration, RobotError};
 use cdcr_shared_types::Measurement;
@@ -7,12 +5,10 @@ use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::counted;
 
 use crate::model::robot_of;
-use crate::{Connection, Driver, DriverUpdate, LinkError, monotonic_ns};
+use crate::{Connection, Driver, DriverUpdate, LinkError, STATUS_TIMEOUT, monotonic_ns};
 
 /// Time step of the motors \[ns\].
 const STEP_NS: u64 = 1_000_000;
-/// Timeout for the daemon's status.
-const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// A simulated robot behind a driver: [`MisbehavingRobot`] at the ports of a [`Driver`].
 ///
@@ -59,7 +55,7 @@ impl PlantDriver {
         flaws: Flaws,
         seed: u64,
     ) -> Result<Self, PlantError> {
-        let status = connection.status(TIMEOUT)?;
+        let status = connection.status(STATUS_TIMEOUT)?;
         let model = robot_of(&status.robot)?;
         let straight = Configuration::straight(model.section_count());
         Ok(Self {

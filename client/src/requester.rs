@@ -5,13 +5,12 @@ use cdcr_shared_types::codes::RequestKind;
 use cdcr_shared_types::{Location, Request, Response, Service};
 
 use crate::connect_error::{Place, not_reached};
+use crate::connection::REQUEST_TIMEOUT;
 use crate::request::{Control, POLL_INTERVAL};
 use crate::sender::MessageSender;
 use crate::services::{ControlChannel, DEAD_NODES, check_clock, check_owner, open_control};
 use crate::{ConnectError, LinkError, RequestError};
 
-/// Timeout for a free connection, and then for the answer.
-const TIMEOUT: Duration = Duration::from_secs(1);
 /// Time after which an unanswered stop is also sent as a signal. The program start included, that is within
 /// 0.3 s.
 const SIGNAL_AFTER: Duration = Duration::from_millis(200);
@@ -57,7 +56,7 @@ impl Requester {
     /// As [`Connection::open`](crate::Connection::open), except for the status, which is not needed.
     pub fn open(location: &Location, robot: &str) -> Result<Self, ConnectError> {
         check_clock(location, &Place::new(location, robot))?;
-        Self::open_until(location, robot, Instant::now() + TIMEOUT)
+        Self::open_until(location, robot, Instant::now() + REQUEST_TIMEOUT)
     }
 
     fn open_until(
@@ -86,7 +85,8 @@ impl Requester {
     /// # Errors
     /// As [`Connection::request`](crate::Connection::request).
     pub fn request(&self, kind: RequestKind) -> Result<Response, RequestError> {
-        self.control.request(kind, Request::default(), TIMEOUT)
+        self.control
+            .request(kind, Request::default(), REQUEST_TIMEOUT)
     }
 
     /// Sends a reset and waits for the answer, at most 1 s.
@@ -94,7 +94,7 @@ impl Requester {
     /// # Errors
     /// As [`Connection::reset`](crate::Connection::reset).
     pub fn reset(&self, accept_pose: bool) -> Result<Response, RequestError> {
-        self.control.reset(accept_pose, TIMEOUT)
+        self.control.reset(accept_pose, REQUEST_TIMEOUT)
     }
 
     /// Stops the robot by every available means. It first sends a request over a port reserved for stops. If
@@ -105,7 +105,7 @@ impl Requester {
     /// # Errors
     /// No daemon is running, or the stop is not confirmed: [`StopError`] describes what was done.
     pub fn stop(location: &Location, robot: &str) -> Result<Response, StopError> {
-        let deadline = Instant::now() + TIMEOUT;
+        let deadline = Instant::now() + REQUEST_TIMEOUT;
         let mut first = Self::request_stop(location, robot, SIGNAL_AFTER);
         // A restarting daemon executes requests that clients made of its predecessor.
         while is_no_daemon(&first) && Instant::now() < deadline {
@@ -117,7 +117,7 @@ impl Requester {
         }
         let signalled = location.stop_by_signal(robot);
         // A second stop does no harm.
-        let second = Self::request_stop(location, robot, TIMEOUT);
+        let second = Self::request_stop(location, robot, REQUEST_TIMEOUT);
         match (second, signalled) {
             (second, _) if is_answered(&second) => second,
             (Err(failed), Ok(process_id)) => Err(StopError::Unconfirmed {

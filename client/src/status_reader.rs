@@ -5,9 +5,9 @@ use cdcr_shared_types::Status;
 
 use crate::{LinkError, Stream, monotonic_ns};
 
-/// Maximum age of a status. A daemon publishes ten per second: one that is silent for this long counts as
-/// dead.
-pub(crate) const STATUS_FRESH: Duration = Duration::from_secs(1);
+/// Maximum age of a status, and time to wait for one. A daemon publishes ten per second: one that is silent for
+/// this long counts as dead.
+pub const STATUS_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Keeps the newest status, so that frequent reads do not wait each time.
 #[derive(Debug)]
@@ -42,7 +42,7 @@ impl StatusReader {
 }
 
 fn is_fresh(status: &Status, now_ns: u64) -> bool {
-    now_ns.saturating_sub(status.header.sent_ns) < STATUS_FRESH.as_nanos() as u64
+    now_ns.saturating_sub(status.header.sent_ns) < STATUS_TIMEOUT.as_nanos() as u64
 }
 
 #[cfg(test)]

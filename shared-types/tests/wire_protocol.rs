@@ -6,7 +6,7 @@ use cdcr_shared_types::declared::{self, words};
 use cdcr_shared_types::message::{Field, Kind, Meaning, MessageLayout};
 use cdcr_shared_types::{
     Command, Incident, LAYOUTS, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
-    Service, Status, Telemetry,
+    Service, Status, Telemetry, limits,
 };
 
 const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/wire-protocol.md");
@@ -136,6 +136,14 @@ fn codes() -> String {
     text
 }
 
+fn limits() -> String {
+    let mut text = String::from("| limit | value | what |\n|---|---:|---|\n");
+    for (name, value, doc) in limits::ALL {
+        writeln!(text, "| `{name}` | {value} | {} |", plain(doc)).expect("a text has room");
+    }
+    text
+}
+
 #[test]
 fn the_page_is_what_is_declared() {
     let page = std::fs::read_to_string(PAGE).unwrap();
@@ -144,6 +152,7 @@ fn the_page_is_what_is_declared() {
         ("services", services()),
         ("messages", tables()),
         ("codes", codes()),
+        ("limits", limits()),
     ] {
         let begin = format!("{BEGIN}{name} -->\n");
         let (before, rest) = made.split_once(&begin).unwrap();
@@ -155,6 +164,20 @@ fn the_page_is_what_is_declared() {
         return;
     }
     assert!(page == made, "docs/wire-protocol.md is out of date: {HOW}");
+}
+
+#[test]
+fn the_page_about_security_states_the_numbers_of_connections() {
+    const SECURITY: &str = include_str!("../../docs/security.md");
+    let words: Vec<_> = SECURITY.split_whitespace().collect();
+    let (others, drivers) = (Service::NODES - 1, Service::DRIVERS);
+    let for_requests = Service::Control.nodes() - Service::NODES;
+    let (clients, kept) = (Service::CONTROL_CLIENTS, Service::CONTROL_KEPT);
+    let text = format!(
+        "{others} programs may open all services, {drivers} more the services of a driver, and {for_requests} more the service for \
+         requests; {clients} may send requests. Each program of `cdcr_client` leaves {kept} of these {clients} free"
+    );
+    assert!(words.join(" ").contains(&text), "{text}");
 }
 
 /// What the page says in its own words names each service, and says nothing of one that there is not.

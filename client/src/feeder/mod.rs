@@ -16,6 +16,7 @@ use std::thread;
 use std::time::Duration;
 
 use cdcr_shared_types::codes::{ChunkMode, Interpolation, RequestKind};
+use cdcr_shared_types::limits::REFERENCE_AHEAD_S_MAX;
 use cdcr_shared_types::{Service, Telemetry};
 
 use crate::{
@@ -36,7 +37,7 @@ const TELEMETRY_TIMEOUT_NS: u64 = 10_000_000_000;
 const END_GRACE_NS: u64 = 500_000_000;
 
 /// The longest trajectory that can be fed \[s\]: a day.
-pub const DURATION_MAX_S: f64 = 86_400.0;
+pub const DURATION_MAX_S: f64 = REFERENCE_AHEAD_S_MAX as f64;
 
 /// Event of a running feed.
 #[derive(Debug)]

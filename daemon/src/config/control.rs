@@ -2,6 +2,7 @@
 
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::reference::{ApproachLimits, EXCURSION_SHARE};
+use cdcr_shared_types::limits::PERIOD_MS_MAX;
 use serde::{Deserialize, Serialize};
 
 use super::{LinkKind, ns};
@@ -53,14 +54,14 @@ table! {
     /// Period, deadline, time budget and lateness.
     pub struct CycleConfig {
         /// Period of the control loop, {range}, and at least twice gather_lead_ms.
-        period_ms: f64 = 5.0, in 0.1..=100.0, "at least twice cycle.gather_lead_ms";
+        period_ms: f64 = 5.0, in 0.1..=PERIOD_MS_MAX as f64, "at least twice cycle.gather_lead_ms";
         /// Deadline after the release, {range}, and at most the period; 0: the period.
-        deadline_ms: f64 = 0.0, in 0.0..=100.0, "at most cycle.period_ms";
+        deadline_ms: f64 = 0.0, in 0.0..=PERIOD_MS_MAX as f64, "at most cycle.period_ms";
         /// A cycle that starts later than this after its release counts as a late start, {range}.
         late_start_ms: f64 = 1.0, in 0.001..=100.0;
         /// Longest time of one solve, {range}, and at most the period; 0: the time until the deadline, less
         /// the margin. Reduced where the other parts of the period would not fit (docs/realtime.md).
-        budget_ms: f64 = 0.0, in 0.0..=100.0, "at most cycle.period_ms";
+        budget_ms: f64 = 0.0, in 0.0..=PERIOD_MS_MAX as f64, "at most cycle.period_ms";
         /// Least time that the solver leaves for the rest of the cycle, {range}, and at most half the period; 0: a tenth of the
         /// period, at least 0.04 ms. More is left where clearance guard and exchange are measured to take longer.
         budget_margin_ms: f64 = 0.0, in 0.0..=50.0, "at most half of cycle.period_ms";

@@ -6,7 +6,9 @@ use cdcr_controller::robot::{CABLES_MAX, Configuration, Obstacle, Robot, Shape};
 use cdcr_controller::safety::Request;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
-use cdcr_shared_types::limits::{OBSTACLE_AGE_MS_MAX, OBSTACLE_SPEED_M_S_MAX};
+use cdcr_shared_types::limits::{
+    OBSTACLE_AGE_MS_MAX, OBSTACLE_SPEED_M_S_MAX, REFERENCE_AHEAD_S_MAX,
+};
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
 use crate::handover::TimedMeasurement;
@@ -43,12 +45,12 @@ const CLOCK_TOLERANCE_NS: u64 = 1_000_000;
 
 /// Largest age of an obstacle that moves \[ns\].
 const OBSTACLE_AGE_MAX_NS: u64 = 1_000_000 * OBSTACLE_AGE_MS_MAX as u64;
-/// References are at most a day ahead \[ns\].
-const AHEAD_MAX_NS: u64 = 86_400_000_000_000;
+/// References are at most this far ahead \[ns\].
+const AHEAD_MAX_NS: u64 = 1_000_000_000 * REFERENCE_AHEAD_S_MAX as u64;
 /// Larger bends \[rad\], lengths or positions \[m\] are not valid measurements.
 const MEASURED_MAX: f64 = 1e3;
 
-/// The points of a chunk, all validated: finite, ahead of `now_ns` by at most a day, inside the reachable
+/// The points of a chunk, all validated: finite, ahead of `now_ns` by at most [`AHEAD_MAX_NS`], inside the reachable
 /// ball, with unit orientations. The trajectory checks that their times increase.
 pub fn reference_points<'a>(
     chunk: &'a wire::ReferenceChunk,

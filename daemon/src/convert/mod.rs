@@ -42,6 +42,7 @@ mod tests {
     use cdcr_controller::robot::{Configuration, Robot, Shape};
     use cdcr_shared_types as wire;
     use cdcr_shared_types::codes::{self, Outcome};
+    use cdcr_shared_types::limits::REFERENCE_AHEAD_S_MAX;
     use nalgebra::Vector3;
 
     use super::outgoing::{measurement_to_wire, obstacle_to_wire};
@@ -93,7 +94,10 @@ mod tests {
         assert_eq!(refusals(&[past]), (Outcome::InThePast, 0));
         let outside = point(3000, [0.0, 0.2, 0.3]);
         assert_eq!(refusals(&[good, outside]), (Outcome::OutOfReach, 1));
-        let far = point(86_400_000_000_101, [0.0, 0.0, 0.3]);
+        let far = point(
+            101 + 1_000_000_000 * REFERENCE_AHEAD_S_MAX as u64,
+            [0.0, 0.0, 0.3],
+        );
         assert_eq!(refusals(&[far]), (Outcome::OutOfRange, 0));
         assert_eq!(refusals(&[]), (Outcome::CountOutOfRange, 0));
         let mut axis = good;

@@ -3,7 +3,7 @@
 
 use cdcr_controller::safety::Request as ModeRequest;
 use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
-use cdcr_shared_types::limits::POSE_DIFFERS_RAD;
+use cdcr_shared_types::limits::{POSE_DIFFERS_RAD, REQUEST_AGE_MS_MAX};
 use cdcr_shared_types::{Header, Request, Response, Service, ipc};
 use iceoryx2::active_request::ActiveRequest;
 
@@ -19,8 +19,8 @@ type Asked = ActiveRequest<ipc::Variant, Request, (), Response, ()>;
 pub(super) const REQUESTS_PER_GATHER: usize = 4;
 /// Requests read by one gather, so that a stop is found behind a flood of others.
 const REQUESTS_SEEN_PER_GATHER: usize = Service::CONTROL_CLIENTS * Service::CONTROL_REQUESTS;
-/// An older request waited while the daemon or its client was stopped \[ns\].
-const REQUEST_AGE_MAX_NS: u64 = 1_000_000_000;
+/// Largest age of a request at its arrival \[ns\].
+const REQUEST_AGE_MAX_NS: u64 = 1_000_000 * REQUEST_AGE_MS_MAX as u64;
 /// Requests that can wait for their cycle.
 const WAITING_MAX: usize = 16;
 

@@ -8,7 +8,9 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
-use cdcr_client::{Connection, FeedEvent, FeedOptions, Spiral, Trajectory, section_lengths_m};
+use cdcr_client::{
+    Connection, DURATION_MAX_S, FeedEvent, FeedOptions, Spiral, Trajectory, section_lengths_m,
+};
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
 
@@ -19,8 +21,8 @@ use crate::system::thread::pin;
 
 /// First words of the error when the robot does not begin to follow.
 pub const DOES_NOT_FOLLOW: &str = "the robot does not follow the reference";
-/// Longer than any measurement, and the longest duration of a fed curve \[s\].
-const FOR_EVER_S: f64 = 86_400.0;
+/// Longer than any measurement \[s\].
+const FOR_EVER_S: f64 = DURATION_MAX_S;
 /// Longest stall of the machine that the reference bridges without any effect.
 const AHEAD: Duration = Duration::from_secs(3);
 

@@ -7,8 +7,8 @@ use anyhow::{Context, bail, ensure};
 use cdcr_client::model::settings_of;
 use cdcr_client::{
     Changed, Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, Figure, FigurePlane,
-    FigureShape, FileTrajectory, Line, Orientation, PAPER_SECTION_M, Spiral, Straight, Trajectory,
-    counted, section_lengths_m,
+    FigureShape, FileTrajectory, Line, Orientation, PAPER_SECTION_M, STATUS_TIMEOUT, Spiral,
+    Straight, Trajectory, counted, section_lengths_m,
 };
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
 use cdcr_shared_types::{Status, Telemetry};
@@ -24,7 +24,7 @@ use crate::interrupt::Interrupt;
 use crate::obstacle_in_way;
 use crate::reach;
 use crate::shape_choice::Guided;
-use crate::standing::{MOVED_M, STATUS, check_stands, distance_m};
+use crate::standing::{MOVED_M, check_stands, distance_m};
 use crate::stop_cause::stop_remedy;
 use crate::tip_error::TipError;
 use crate::unmeasured_tip;
@@ -132,7 +132,7 @@ pub(crate) fn go(
     arguments: &StraightArguments,
     end_m: impl Fn([f64; 3]) -> [f64; 3],
 ) -> anyhow::Result<Done> {
-    let status = connection.status(STATUS)?;
+    let status = connection.status(STATUS_TIMEOUT)?;
     if !arguments.dry_run {
         check_mode(&status)?;
     }
@@ -166,7 +166,7 @@ pub(crate) fn go(
     let (done, error) = follow(connection, &way, options, |_| Ok(()))?;
     if done == Done::Good {
         let end = newest(connection)?;
-        let cause = unmeasured_tip::cause(&connection.status(STATUS)?, &end);
+        let cause = unmeasured_tip::cause(&connection.status(STATUS_TIMEOUT)?, &end);
         way_end::print(&end, cause, &error, goal_m, arguments.max_error)?;
     }
     Ok(done)
@@ -394,7 +394,7 @@ fn figure(
 /// ones.
 fn lengths_m(connection: &Connection, sections: Option<u32>) -> anyhow::Result<Vec<f64>> {
     let status = connection
-        .status(Duration::from_secs(1))
+        .status(STATUS_TIMEOUT)
         .context("cannot read the robot's sections")?;
     let mut lengths = section_lengths_m(&status.robot);
     if let Some(sections) = sections {

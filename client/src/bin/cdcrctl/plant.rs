@@ -6,7 +6,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use cdcr_client::{PlantDriver, counted, events, remedy};
+use cdcr_client::{PlantDriver, STATUS_TIMEOUT, counted, events, remedy};
 use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason};
 use cdcr_shared_types::{InputEvent, Telemetry};
 
@@ -25,7 +25,7 @@ const CHECK_DURATION: Duration = Duration::from_secs(1);
 
 pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
-    let status = connection.status(Duration::from_secs(1))?;
+    let status = connection.status(STATUS_TIMEOUT)?;
     // A daemon may also be stopped before its first measurement.
     let is_unmeasured = status.mode == Mode::Starting.code()
         || status.mode == Mode::Stopped.code()

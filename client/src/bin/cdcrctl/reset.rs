@@ -1,12 +1,12 @@
 //! `cdcrctl reset`.
 
-use cdcr_client::Requester;
+use cdcr_client::{Requester, STATUS_TIMEOUT};
 use cdcr_shared_types::Status;
 use cdcr_shared_types::codes::{Interface, RequestKind};
+use cdcr_shared_types::limits::BEND_TOLERANCE_RAD;
 
 use crate::args::{ResetOptions, Target};
 use crate::show_status::following_error_rad;
-use crate::standing::STATUS;
 use crate::{Done, wait};
 
 /// Sensor noise and play leave less between command and measurement \[rad\].
@@ -15,7 +15,7 @@ const SEEN_RAD: f64 = 0.02;
 pub(crate) fn run(target: &Target, options: &ResetOptions) -> anyhow::Result<Done> {
     let (kind, accept_pose) = (RequestKind::Reset, options.accept_pose);
     let connection = target.connect().ok();
-    let before = connection.and_then(|connection| connection.status(STATUS).ok());
+    let before = connection.and_then(|connection| connection.status(STATUS_TIMEOUT).ok());
     let note = before.as_ref().and_then(motion);
     let tell_note = || {
         if let Some(note) = &note {
@@ -42,7 +42,7 @@ fn motion(before: &Status) -> Option<String> {
     let may_move = before.interface == Interface::Position.code() && away_rad > SEEN_RAD;
     may_move.then(|| {
         format!(
-            "note: a section was measured {away_rad:.3} rad from its command. If this is more than 0.05 rad, the commanded position moves to the measured one, \
+            "note: a section was measured {away_rad:.3} rad from its command. If this is more than {BEND_TOLERANCE_RAD} rad, the commanded position moves to the measured one, \
              and the motors may move the robot by that much after the reset; --wait waits for rest"
         )
     })

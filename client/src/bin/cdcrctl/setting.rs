@@ -8,6 +8,7 @@ use std::ops::RangeInclusive;
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::parameters::UserParameter;
 use cdcr_shared_types::codes::Codes;
+use cdcr_shared_types::limits::PERIOD_MS_MAX;
 use cdcr_shared_types::message::{Meaning, Struct as _, Value as Part, ValueMut};
 use cdcr_shared_types::{SolverSettings, Status};
 use serde_json::{Value, json};
@@ -24,8 +25,8 @@ const BUDGET: Setting = Setting {
     key: "budget_ms",
     field: "budget_ns",
 };
-/// Largest budget \[ms\]: the longest period of a daemon. The daemon's own period limits it further.
-const BUDGET_MS: RangeInclusive<f64> = 0.0..=100.0;
+/// Budgets \[ms\]. The daemon's own period limits them further.
+const BUDGET_MS: RangeInclusive<f64> = 0.0..=PERIOD_MS_MAX as f64;
 /// A value of the configuration that a daemon replaces by the number for its robot.
 pub(crate) const AUTO: &str = "auto";
 const BUDGET_NOTE: &str = "; 0: all the remaining period";

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{bail, ensure};
 use cdcr_client::model::broken_bound;
-use cdcr_client::{Connection, LinkError, RequestError, section_lengths_m};
+use cdcr_client::{Connection, LinkError, RequestError, STATUS_TIMEOUT, section_lengths_m};
 use cdcr_controller::nmpc::{budget_warning, rate_weight_warning, safe_distance_warning};
 use cdcr_shared_types::codes::Outcome;
 use cdcr_shared_types::{SolverSettings, Status, Telemetry};
@@ -17,8 +17,6 @@ use serde_json::Value;
 use crate::Done;
 use crate::args::{Format, SettingsAction, SettingsOptions, Target};
 use crate::setting::{Setting, SettingChange};
-
-const STATUS_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Time for which the solves are monitored for the new budget.
 const MONITOR_TIME: Duration = Duration::from_millis(300);

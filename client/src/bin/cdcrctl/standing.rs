@@ -1,9 +1,7 @@
 //! Whether the robot rests at the start of a path that was computed for it.
 
-use std::time::Duration;
-
 use anyhow::bail;
-use cdcr_client::{Connection, PoseDifference, RequestError, RequestName};
+use cdcr_client::{Connection, PoseDifference, RequestError, RequestName, STATUS_TIMEOUT};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 
@@ -11,8 +9,6 @@ use crate::dry_run::newest;
 
 /// A tip farther than this from the start of its computed path has moved, whatever error is allowed \[m\].
 pub(crate) const MOVED_M: f64 = 2e-3;
-/// Timeout for a status or a record.
-pub(crate) const STATUS: Duration = Duration::from_secs(1);
 
 /// Fails when the robot does not rest at its position in `before`: another client that holds the lease moves it, or the
 /// daemon does.
@@ -20,7 +16,7 @@ pub(crate) fn check_stands(connection: &Connection, before: &Telemetry) -> anyho
     if stands(before, &newest(connection)?) {
         return Ok(());
     }
-    let status = connection.status(STATUS)?;
+    let status = connection.status(STATUS_TIMEOUT)?;
     if status.lease_holder != 0 {
         return Err(RequestError::Refused {
             asked: RequestName::Request(RequestKind::AcquireLease),

@@ -2,14 +2,14 @@
 
 use std::fmt;
 
-use cdcr_client::{Connection, counted, remedy};
+use cdcr_client::{Connection, STATUS_TIMEOUT, counted, remedy};
 use cdcr_controller::estimator::tip_offset_max_m;
 use cdcr_shared_types::codes::{Mode, Outcome, TipCause};
 use cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS;
 use cdcr_shared_types::{Status, Telemetry};
 
 use crate::dry_run::{newest, robot_and_pose};
-use crate::standing::{STATUS, distance_m};
+use crate::standing::distance_m;
 
 pub(crate) const SILENT_NS: u64 = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
 
@@ -95,7 +95,7 @@ pub(crate) fn warn(status: &Status, record: &Telemetry) {
 
 /// As [`warn`], of the present. A daemon that does not answer is the caller's concern.
 pub(crate) fn warn_now(connection: &Connection) {
-    if let (Ok(status), Ok(record)) = (connection.status(STATUS), newest(connection)) {
+    if let (Ok(status), Ok(record)) = (connection.status(STATUS_TIMEOUT), newest(connection)) {
         warn(&status, &record);
     }
 }

@@ -3,8 +3,8 @@
 mod zsh;
 
 use std::ffi::{OsStr, OsString};
-use std::time::Duration;
 
+use cdcr_client::STATUS_TIMEOUT;
 use clap::{CommandFactory, FromArgMatches};
 use clap_complete::env::Shells;
 use clap_complete::{CompleteEnv, CompletionCandidate};
@@ -13,8 +13,6 @@ use super::{Arguments, Target};
 use crate::known_obstacles::known;
 use crate::setting::Setting;
 
-/// Timeout for the obstacles.
-const TIMEOUT: Duration = Duration::from_secs(1);
 /// Variable set by the completion scripts. It has a name of its own, so that a variable set for another
 /// program does not prevent a stop.
 pub(crate) const VARIABLE: &str = "CDCRCTL_COMPLETE";
@@ -46,7 +44,7 @@ pub(crate) fn robots() -> Vec<CompletionCandidate> {
 /// Ids of the obstacles known to the daemon.
 pub(crate) fn obstacle_ids() -> Vec<CompletionCandidate> {
     let connection = target().and_then(|target| target.connect().ok());
-    let known = connection.and_then(|connection| known(&connection, TIMEOUT).ok());
+    let known = connection.and_then(|connection| known(&connection, STATUS_TIMEOUT).ok());
     let ids = known.unwrap_or_default().into_iter();
     ids.map(|obstacle| CompletionCandidate::new(obstacle.id.to_string()))
         .collect()

@@ -1,8 +1,8 @@
 use std::fmt::Write as _;
 use std::io::Write;
-use std::time::Duration;
 
 use anyhow::ensure;
+use cdcr_client::STATUS_TIMEOUT;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementKind, Mode};
 use serde::Serialize;
@@ -75,7 +75,7 @@ pub(super) fn run(target: &Target, options: &NoiseOptions) -> anyhow::Result<Don
         "too few measurements in {:?}: at least {LEAST} are needed; use a longer --duration",
         options.duration
     );
-    let status = connection.status(Duration::from_secs(1))?;
+    let status = connection.status(STATUS_TIMEOUT)?;
     let radii_m = status.robot.section.map(|section| section.cable_radius_m);
     let mut out = std::io::stdout().lock();
     match options.format {

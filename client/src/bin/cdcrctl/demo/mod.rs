@@ -16,10 +16,11 @@ mod table;
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
-use std::time::Duration;
 
 use anyhow::anyhow;
-use cdcr_client::{Connection, FeedEnd, FeedEvent, FeedOptions, PAPER_SECTION_M, Spiral};
+use cdcr_client::{
+    Connection, FeedEnd, FeedEvent, FeedOptions, PAPER_SECTION_M, STATUS_TIMEOUT, Spiral,
+};
 use cdcr_process::{Place, fill_folder, output_folder};
 
 use crate::Done;
@@ -110,7 +111,7 @@ fn feed(
     let mut attributed = IncidentCauses::default();
     let mut origin_ns = 0;
     let mut incidents = connection.incidents()?;
-    let core = connection.status(Duration::from_secs(1))?.core;
+    let core = connection.status(STATUS_TIMEOUT)?.core;
     let steal = StealReading::now((core != u32::MAX).then_some(core));
     let feed = connection.feed(spiral, options)?.run(|event| {
         match event {
@@ -143,7 +144,7 @@ fn feed(
         cycles,
         incidents: attributed,
         steal,
-        status: connection.status(Duration::from_secs(1))?,
+        status: connection.status(STATUS_TIMEOUT)?,
         lost_records: feed.lost_records,
     }))
 }

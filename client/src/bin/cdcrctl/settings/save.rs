@@ -4,12 +4,11 @@ use std::os::unix::fs::{MetadataExt, fchown};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use cdcr_client::Connection;
+use cdcr_client::{Connection, STATUS_TIMEOUT};
 use cdcr_shared_types::{SolverSettings, Status};
 use serde_json::Value as Json;
 use toml_edit::{DocumentMut, Item, Table, Value};
 
-use super::STATUS_TIMEOUT;
 use crate::Done;
 use crate::setting::{AUTO, Setting};
 
