@@ -8,8 +8,20 @@ mod bits;
 pub use bits::{RTPRIO_GRANTED, guard, realtime, timing};
 
 /// Declares a wire enumeration with its values, its checked conversion and a text for users, which begins its
-/// documentation.
+/// documentation. With `($ names)` it also exports the macro `names`, for conversions of an enumeration with the same variants:
+/// `names!(with …)` calls the macro `with` with `… Name { Variant, … }`.
 macro_rules! wire_enum {
+    (($d:tt $names:ident) $(#[$meta:meta])* $name:ident {
+        $($(#[doc = $doc:literal])* $variant:ident = $value:literal: $text:literal,)+
+    }) => {
+        wire_enum! { $(#[$meta])* $name { $($(#[doc = $doc])* $variant = $value: $text,)+ } }
+
+        #[doc = concat!("Calls a macro with the variants of [`codes::", stringify!($name), "`](crate::codes::", stringify!($name), ").")]
+        #[macro_export]
+        macro_rules! $names {
+            ($d with:ident $d($d more:tt)*) => { $d with! { $d($d more)* $name { $($variant,)+ } } };
+        }
+    };
     ($(#[$meta:meta])* $name:ident { $($(#[doc = $doc:literal])* $variant:ident = $value:literal: $text:literal,)+ }) => {
         $(#[$meta])*
         #[repr(u32)]
@@ -150,6 +162,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ robot_links)
     /// Source of measurements and destination of commands.
     RobotLink {
         /// The simulated robot inside the daemon.
@@ -172,6 +185,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ modes)
     /// Mode of the daemon.
     Mode {
         /// Before the first good cycle.
@@ -190,6 +204,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ reasons)
     /// Reason for the mode of the daemon.
     Reason {
         /// Initial value.
@@ -324,6 +339,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ reference_states)
     /// Position of a time relative to the buffered reference.
     ReferenceState {
         None = 0: "no reference",
@@ -336,6 +352,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ lease_states)
     /// State of the reference lease in a cycle.
     LeaseState {
         /// Nobody holds it.
@@ -409,6 +426,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ solver_statuses)
     /// End of a solve.
     SolverStatus {
         /// It did not run.
@@ -427,6 +445,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ winners)
     /// Candidate from which the solution descends.
     Winner {
         WarmStart = 0: "warm start",

@@ -3,7 +3,7 @@ use cdcr_controller::safety::{self, LeaseState, ModeMachine, Observation};
 use cdcr_shared_types::codes::{
     self, MeasurementKind, Mode, Reason, RequestKind, SolverStatus, guard,
 };
-use cdcr_shared_types::{InputEvent, Telemetry};
+use cdcr_shared_types::{InputEvent, Telemetry, lease_states, modes, reasons, reference_states};
 
 use super::Difference;
 use super::check::Check;
@@ -124,21 +124,12 @@ impl Before {
         let miss_limit = record.miss_limit;
         Observation {
             measured: record.measurement.kind != MeasurementKind::None.code(),
-            reference: match codes::ReferenceState::try_from(record.reference.state) {
-                Ok(codes::ReferenceState::Before) => ReferenceState::Before,
-                Ok(codes::ReferenceState::Inside) => ReferenceState::Inside,
-                Ok(codes::ReferenceState::Ended) => ReferenceState::Ended,
-                Ok(codes::ReferenceState::None) | Err(_) => ReferenceState::None,
-            },
+            reference: reference_state_of(record.reference.state).unwrap_or(ReferenceState::None),
             too_far: record.reference_too_far != 0,
             measurement_rejected: record.measurement_rejected != 0,
             tip_contradiction_m: record.tip_contradiction_m,
             pose_differs: record.pose_differs != 0,
-            lease: match codes::LeaseState::try_from(record.lease_state) {
-                Ok(codes::LeaseState::Held) => LeaseState::Held,
-                Ok(codes::LeaseState::Expired) => LeaseState::Expired,
-                Ok(codes::LeaseState::Free) | Err(_) => LeaseState::Free,
-            },
+            lease: lease_state_of(record.lease_state).unwrap_or(LeaseState::Free),
             lease_number: record.lease_number,
             at_home: reason_in(Mode::Holding, &[Reason::HomeReached]).is_some(),
             misses_overflow: miss_limit > 0 && self.miss_bucket >= miss_limit,
@@ -231,34 +222,30 @@ fn mode_of(record: &Telemetry) -> Option<safety::Mode> {
 }
 
 fn codes_of(mode: safety::Mode) -> (Mode, Reason) {
-    let code = match mode {
-        safety::Mode::Starting => Mode::Starting,
-        safety::Mode::Holding { .. } => Mode::Holding,
-        safety::Mode::Tracking { .. } => Mode::Tracking,
-        safety::Mode::Homing => Mode::Homing,
-        safety::Mode::Stopped { .. } => Mode::Stopped,
-        safety::Mode::Faulted { .. } => Mode::Faulted,
-    };
-    (code, reason_code(mode.reason()))
+    (mode_code(mode), reason_code(mode.reason()))
 }
 
-// Reasons have the same names on both sides; a missing one does not compile.
-macro_rules! reasons {
-    ($($reason:ident),+ $(,)?) => {
-        fn reason_of(code: u32) -> Option<safety::Reason> {
-            Some(match Reason::try_from(code).ok()? { $(Reason::$reason => safety::Reason::$reason,)+ })
-        }
-        fn reason_code(reason: safety::Reason) -> Reason {
-            match reason { $(safety::Reason::$reason => Reason::$reason,)+ }
+macro_rules! to_code {
+    ($to:ident: $domain:path => $code:ident { $($variant:ident,)+ }) => {
+        fn $to(value: $domain) -> codes::$code {
+            type Domain = $domain;
+            match value { $(Domain::$variant { .. } => codes::$code::$variant,)+ }
         }
     };
 }
-reasons! {
-    Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
-    LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
-    InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore, PoseDiffers, ObstaclesLost,
-    TipElsewhere,
+macro_rules! from_code {
+    ($from:ident: $domain:path => $code:ident { $($variant:ident,)+ }) => {
+        fn $from(code: u32) -> Option<$domain> {
+            type Domain = $domain;
+            Some(match codes::$code::try_from(code).ok()? { $(codes::$code::$variant => Domain::$variant,)+ })
+        }
+    };
 }
+modes!(to_code mode_code: safety::Mode =>);
+reasons!(to_code reason_code: safety::Reason =>);
+reasons!(from_code reason_of: safety::Reason =>);
+lease_states!(from_code lease_state_of: LeaseState =>);
+reference_states!(from_code reference_state_of: ReferenceState =>);
 
 #[cfg(test)]
 mod tests {

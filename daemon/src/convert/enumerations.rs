@@ -5,7 +5,10 @@ use cdcr_controller::nmpc::{Constraint, SolveStatus};
 use cdcr_controller::optimizer::Candidate;
 use cdcr_controller::reference::ReferenceState;
 use cdcr_controller::safety::{LeaseState, Mode, Reason, Refusal};
-use cdcr_shared_types::codes;
+use cdcr_shared_types::{
+    codes, lease_states, measurement_states, modes, reasons, reference_states, robot_links,
+    solver_statuses, winners,
+};
 
 use crate::config::{Interface, LinkKind};
 use crate::handover::{MeasurementUse, TipCause};
@@ -22,28 +25,19 @@ macro_rules! to_wire {
 to_wire! {
     /// A refusal of the mode machine.
     pub refusal: Refusal => Outcome { WrongMode, NoLease, NoReference, TooFar, CauseStands, PoseDiffers, TipElsewhere, Waits, Overruled, Ending }
-    pub mode: Mode => Mode { Starting, Holding, Tracking, Homing, Stopped, Faulted }
-    /// Reason of a mode.
-    pub reason: Reason => Reason {
-        Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
-        LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
-        InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode, StoppedBefore, PoseDiffers,
-        ObstaclesLost, TipElsewhere,
-    }
     /// Part of a command that the driver executes.
     pub interface: Interface => Interface { Velocity, Position }
-    pub link: LinkKind => RobotLink { Simulated, Driver }
-    pub(super) lease_state: LeaseState => LeaseState { Free, Held, Expired }
-    pub(super) measurement_state: MeasurementUse => MeasurementState { None, Used, Repeated, Implausible }
     pub tip_cause: TipCause => TipCause { Far, WasFar, Jumps, Jumped, Frozen }
     /// A violated constraint.
     pub(super) constraint: Constraint => Constraint { Clearance, Limit }
-    /// Status of a solve.
-    pub(super) solver_status: SolveStatus => SolverStatus {
-        Idle, Converged, BudgetSpent, IterationsSpent, ConstraintViolated, NonFinite,
-    }
-    /// Origin of the solution among the candidates.
-    pub(super) winner: Candidate => Winner { WarmStart, Previous, Zero, LeastSquares, Eigenvector, Swarm }
-    /// Position of a time relative to the reference.
-    pub(super) reference_state: ReferenceState => ReferenceState { None, Before, Inside, Ended }
 }
+
+// Enumerations with the same variants.
+modes!(to_wire pub mode: Mode =>);
+reasons!(to_wire pub reason: Reason =>);
+robot_links!(to_wire pub link: LinkKind =>);
+lease_states!(to_wire pub(super) lease_state: LeaseState =>);
+measurement_states!(to_wire pub(super) measurement_state: MeasurementUse =>);
+reference_states!(to_wire pub(super) reference_state: ReferenceState =>);
+solver_statuses!(to_wire pub(super) solver_status: SolveStatus =>);
+winners!(to_wire pub(super) winner: Candidate =>);

@@ -16,6 +16,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ measurement_states)
     /// Use of the measurement in a cycle.
     MeasurementState {
         /// No measurement yet.
