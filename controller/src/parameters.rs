@@ -31,10 +31,10 @@ pub struct UserParameter {
 }
 
 impl UserParameter {
-    /// Unit with a leading space; empty: no unit.
-    fn unit(&self) -> String {
+    /// The unit that ends the name; empty: none.
+    pub fn unit(&self) -> &'static str {
         let unit = UNITS.iter().find(|(end, _)| self.name.ends_with(end));
-        unit.map(|(_, unit)| format!(" {unit}")).unwrap_or_default()
+        unit.map_or("", |(_, unit)| unit)
     }
 
     /// Smallest and largest value with the unit: `0.1 to 100 ms`.
@@ -49,7 +49,8 @@ impl UserParameter {
 
     fn text_of(&self, range: &RangeInclusive<f64>) -> String {
         let (low, high) = (number_text(*range.start()), number_text(*range.end()));
-        format!("{low} to {high}{}", self.unit())
+        let gap = if self.unit().is_empty() { "" } else { " " };
+        format!("{low} to {high}{gap}{}", self.unit())
     }
 
     /// Question about a value that is probably unintended: `usual is 0 to 10 rad/s; in degrees?`.
@@ -69,7 +70,7 @@ impl UserParameter {
         if range.contains(&value) {
             return None;
         }
-        let is_angle = self.unit() == " rad";
+        let is_angle = self.unit() == "rad";
         let is_large = value > *range.end() || (is_angle && value < *range.start());
         let asks = is_large && !(is_angle && value.abs() <= core::f64::consts::TAU);
         let other = if asks { self.other_unit() } else { "" };
@@ -79,7 +80,7 @@ impl UserParameter {
 
     /// The unit in which a large value was probably given.
     fn other_unit(&self) -> &'static str {
-        match self.unit().trim() {
+        match self.unit() {
             "rad" | "rad/s" => "; in degrees?",
             "m" => "; in mm?",
             "m/s" => "; in mm/s?",

@@ -383,13 +383,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_name_of_a_solver_is_that_in_a_configuration() {
-        let read = |name: &str| serde_json::from_value::<SolverKind>(name.into());
-        let known = SolverKind::ALL.map(|kind| read(kind.name()).expect("a known name"));
-        assert_eq!(known, SolverKind::ALL);
-    }
-
-    #[test]
     fn default_settings_are_legal_and_bad_ones_say_what_is_allowed() {
         assert_eq!(NmpcSettings::default().validate(), Ok(()));
         let bad = NmpcSettings {

@@ -67,3 +67,34 @@ pub fn settings_from_wire(
     nmpc.validate().map_err(|_| Outcome::OutOfRange)?;
     Ok(RuntimeSettings { nmpc, budget_ns })
 }
+
+#[cfg(test)]
+mod tests {
+    use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
+    use cdcr_controller::optimizer::VelocityRule;
+    use cdcr_controller::parameters::Parameter;
+    use cdcr_shared_types::{SolverSettings, codes};
+
+    /// Every choice as in a configuration and as in a message.
+    macro_rules! choices {
+        ({ $($choice:ident: $type:ident { $($variant:ident),+ },)+ } $($number:ident),+ $(,)?) => {
+            [$($((serde_json::json!($type::$variant), codes::$type::$variant.text()),)+)+]
+        };
+    }
+
+    #[test]
+    fn choices_and_units_are_the_same_in_configuration_and_messages() {
+        for (in_configuration, in_messages) in cdcr_shared_types::solver_settings!(choices) {
+            assert_eq!(in_configuration, in_messages);
+        }
+        for kind in SolverKind::ALL {
+            assert_eq!(serde_json::json!(kind), kind.name());
+        }
+        for field in SolverSettings::LAYOUT.fields {
+            let mut parameters = NmpcSettings::PARAMETERS.iter();
+            let parameter = parameters.find(|parameter| parameter.name == field.name);
+            let unit = parameter.map_or("", Parameter::unit);
+            assert!(unit.is_empty() || unit == field.unit, "{}", field.name);
+        }
+    }
+}
