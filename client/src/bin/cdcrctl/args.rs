@@ -350,7 +350,7 @@ pub(crate) struct IncidentsOptions {
 pub(crate) struct EchoOptions {
     /// Topic of the messages
     #[arg(value_enum, default_value = "telemetry")]
-    pub(crate) topic: Topic,
+    pub(crate) topic: EchoTopic,
     /// Output format: one line or one JSON object per message
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
@@ -370,7 +370,7 @@ pub(crate) struct EchoOptions {
 pub(crate) struct HzOptions {
     /// Topic of the messages
     #[arg(value_enum, default_value = "telemetry")]
-    pub(crate) topic: Topic,
+    pub(crate) topic: EchoTopic,
     /// Exit after N lines
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     pub(crate) count: Option<u64>,
@@ -380,7 +380,7 @@ pub(crate) struct HzOptions {
 pub(crate) struct PlotOptions {
     /// Topic of the messages
     #[arg(value_enum, default_value = "telemetry")]
-    pub(crate) topic: Topic,
+    pub(crate) topic: EchoTopic,
     /// Address of the plotter
     #[arg(long, value_name = "HOST:PORT")]
     pub(crate) udp: String,
@@ -397,7 +397,7 @@ pub(crate) struct PlotOptions {
 
 /// Messages that can be printed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Topic {
+pub(crate) enum EchoTopic {
     /// One record of every cycle
     Telemetry,
     /// Commands to the driver
@@ -413,76 +413,4 @@ pub(crate) enum Topic {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::complete::SHELLS;
-    use super::*;
-    use clap::CommandFactory;
-
-    #[test]
-    fn the_command_line_is_consistent() {
-        Arguments::command().debug_assert();
-    }
-
-    #[test]
-    fn the_manual_matches_the_command_line() {
-        cdcr_packaging::check(
-            &Arguments::command(),
-            "1",
-            Some((complete::VARIABLE, &SHELLS)),
-        )
-        .expect("up to date");
-    }
-
-    #[test]
-    fn a_number_that_may_not_be_negative_is_named_with_what_is_allowed() {
-        for (line, parts) in [
-            (
-                "obstacle add --id 1 --at 0,0,1 --radius -1",
-                ["--radius <M>", "-1 is below zero: use 0 or more"],
-            ),
-            (
-                "ref circle --speed -1",
-                ["--speed <TIMES>", "-1 is not above zero"],
-            ),
-            (
-                "ref circle --repeat -1",
-                ["--repeat <N>", "-1 is not in 1..=10000"],
-            ),
-            (
-                "replay run.mcap --speed -1",
-                ["--speed <TIMES>", "between 0.1 and 4"],
-            ),
-            ("echo --count -1", ["--count <N>", "invalid value '-1'"]),
-        ] {
-            let words = ["cdcrctl"].into_iter().chain(line.split(' '));
-            let refused = Arguments::try_parse_from(words).unwrap_err().to_string();
-            for part in parts {
-                assert!(refused.contains(part), "{line}: {refused}");
-            }
-        }
-    }
-
-    #[test]
-    fn every_command_shows_an_example() {
-        fn check(command: &clap::Command) {
-            let help = command.get_after_help().map(ToString::to_string);
-            let help = help.unwrap_or_default();
-            assert!(help.contains("Example"), "{}", command.get_name());
-            command.get_subcommands().for_each(check);
-        }
-        check(&Arguments::command());
-    }
-
-    #[test]
-    fn negative_vectors_are_values_and_not_options() {
-        let line = "cdcrctl ref line --start -0.1,0,0.8 --velocity -0.01,0,0";
-        let parsed = Arguments::try_parse_from(line.split(' ')).expect("legal");
-        let Task::Ref(RefOptions {
-            curve: Curve::Line(line),
-        }) = parsed.task
-        else {
-            panic!("a line");
-        };
-        assert_eq!(line.start, Some([-0.1, 0.0, 0.8]));
-    }
-}
+mod tests;

@@ -10,7 +10,9 @@ use anyhow::{anyhow, bail};
 use cdcr_client::{
     Connection, LinkError, ObstacleSender, TelemetryStream, check_place, monotonic_ns, remedy,
 };
+use cdcr_controller::robot::{OBSTACLE_COMPONENT, OBSTACLE_RADIUS_M};
 use cdcr_shared_types::codes::{EventKind, ObstacleShape, Outcome};
+use cdcr_shared_types::limits::{OBSTACLE_AGE_MS_MAX, OBSTACLE_SPEED_M_S_MAX, OBSTACLES_MAX};
 use cdcr_shared_types::{Header, Obstacle, Status, Telemetry};
 
 use crate::Done;
@@ -197,20 +199,23 @@ fn check(obstacle: &Obstacle, status: &Status, far: bool, ends: bool) -> anyhow:
 }
 
 /// Remedy, with the options of this command where it has some.
-fn advice(outcome: Outcome) -> &'static str {
+fn advice(outcome: Outcome) -> String {
     match outcome {
-        Outcome::BufferFull => {
-            "The limit of 64 obstacles is reached: remove some with cdcrctl obstacle remove or clear."
-        }
+        Outcome::BufferFull => format!(
+            "The limit of {OBSTACLES_MAX} obstacles is reached: remove some with cdcrctl obstacle remove or clear."
+        ),
         Outcome::OutOfRange => {
-            "Use positions within ±1000000 m, a speed of at most 100 m/s, a radius of 0 to 1000000 m, and a measured_ns of \
-             CLOCK_MONOTONIC that is not in the future."
+            let (position_m, radius_m) = (OBSTACLE_COMPONENT.end(), OBSTACLE_RADIUS_M.end());
+            format!(
+                "Use positions within ±{position_m} m, a speed of at most {OBSTACLE_SPEED_M_S_MAX} m/s, a radius of 0 to {radius_m} m, \
+                 and a measured_ns of CLOCK_MONOTONIC that is not in the future."
+            )
         }
-        Outcome::InThePast => {
-            "The lifetime had ended on arrival, or an obstacle that moves was measured more than a second ago: use a \
+        Outcome::InThePast => format!(
+            "The lifetime had ended on arrival, or an obstacle that moves was measured more than {OBSTACLE_AGE_MS_MAX} ms ago: use a \
              longer lifetime, or a newer measured_ns."
-        }
-        other => remedy(other),
+        ),
+        other => remedy(other).to_owned(),
     }
 }
 

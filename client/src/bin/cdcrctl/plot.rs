@@ -8,7 +8,7 @@ use cdcr_shared_types::message::Struct;
 use serde_json::{Value, json};
 
 use crate::Done;
-use crate::args::{PlotOptions, Target, Topic};
+use crate::args::{EchoTopic, PlotOptions, Target};
 use crate::echo::field::{check, select, without_null};
 use crate::echo::{LineFormat, MessageHandler, json, paced, watch};
 
@@ -43,7 +43,7 @@ impl MessageHandler for PlotOptions {
         let any = if to.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
         let socket = UdpSocket::bind(any).context("cannot open a socket")?;
         let fields = match (self.topic, &*self.field) {
-            (Topic::Telemetry, []) => TELEMETRY.map(str::to_owned).to_vec(),
+            (EchoTopic::Telemetry, []) => TELEMETRY.map(str::to_owned).to_vec(),
             (_, fields) => fields.to_vec(),
         };
         let limits = (self.rate, self.count);

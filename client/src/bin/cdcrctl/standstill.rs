@@ -4,10 +4,10 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::limits::COORDINATES_MAX;
 
 /// Averaging time of the motion \[ns\].
-const WINDOW_NS: u64 = 200_000_000;
+pub(crate) const WINDOW_NS: u64 = 200_000_000;
 /// Largest average rate of a bend at rest \[rad/s\]. Encoder noise of 1e-3 rad causes an apparent rate of a
 /// fifth of it, with 40 measurements.
-const REST_RAD_S: f64 = 0.02;
+pub(crate) const REST_RAD_S: f64 = 0.02;
 /// Minimum number of measurements, for rates so low that the window holds fewer.
 const LEAST: usize = 8;
 

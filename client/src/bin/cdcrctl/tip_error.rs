@@ -75,11 +75,11 @@ const FRESH_NS: u64 = 100_000_000;
 const FRESH_INTERVALS: u64 = 2;
 /// Without a limit, a reference that ends with the tip farther away was not followed \[m\]: a robot that lags
 /// 0.1 s behind at 0.2 m/s is as far away.
-const ENDED_OFF_M: f64 = 0.02;
+pub(crate) const ENDED_OFF_M: f64 = 0.02;
 /// Without a limit, a reference that the tip had reached and then was this far from was not followed: a point of it
 /// is an outlier, or it is too fast \[m\]. More than [`ENDED_OFF_M`]: a machine that stalls for 0.2 s does not decide.
 /// Obstacles may keep the tip away; after them, it has to arrive again.
-const PASSED_OFF_M: f64 = 0.05;
+pub(crate) const PASSED_OFF_M: f64 = 0.05;
 /// A body within this share of the robot's length of the safe distance is beside an obstacle.
 const BESIDE: f64 = 0.02;
 

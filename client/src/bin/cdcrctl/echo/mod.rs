@@ -12,7 +12,7 @@ use cdcr_shared_types::Service;
 use cdcr_shared_types::message::Struct;
 
 use crate::Done;
-use crate::args::{EchoOptions, Format, Target, Topic};
+use crate::args::{EchoOptions, EchoTopic, Format, Target};
 use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt, QUIET};
 
 /// Text format of one kind of message.
@@ -35,7 +35,7 @@ pub(crate) trait MessageHandler {
 /// Passes the messages of a topic to `watch`.
 pub(crate) fn watch(
     target: &Target,
-    topic: Topic,
+    topic: EchoTopic,
     watch: &impl MessageHandler,
 ) -> anyhow::Result<Done> {
     let connection = &target.connect()?;
@@ -50,12 +50,12 @@ pub(crate) fn watch(
         }};
     }
     match topic {
-        Topic::Telemetry => shown!(telemetry, TELEMETRY_HEADING, telemetry),
-        Topic::Command => shown!(commands, COMMAND_HEADING, command),
-        Topic::Status => shown!(statuses, STATUS_HEADING, status),
-        Topic::Incidents => shown!(incidents, INCIDENT_HEADING, incident),
-        Topic::Reference => shown!(references, REFERENCE_HEADING, reference),
-        Topic::Obstacles => shown!(obstacle_updates, OBSTACLES_HEADING, obstacles),
+        EchoTopic::Telemetry => shown!(telemetry, TELEMETRY_HEADING, telemetry),
+        EchoTopic::Command => shown!(commands, COMMAND_HEADING, command),
+        EchoTopic::Status => shown!(statuses, STATUS_HEADING, status),
+        EchoTopic::Incidents => shown!(incidents, INCIDENT_HEADING, incident),
+        EchoTopic::Reference => shown!(references, REFERENCE_HEADING, reference),
+        EchoTopic::Obstacles => shown!(obstacle_updates, OBSTACLES_HEADING, obstacles),
     }
 }
 
