@@ -1,9 +1,12 @@
-use std::io::stderr;
+use std::io::{self, IsTerminal as _, stderr};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use cdcr_client::FeedProgress;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle, TermLike};
 use rustix::termios::tcgetwinsize;
+
+use crate::tell;
 
 /// Minimum terminal width for a bar: the longest line, including a file name.
 const COLUMNS_FOR_BAR: u16 = 80;
@@ -15,9 +18,9 @@ pub(crate) struct Bar {
 
 impl Bar {
     pub(crate) fn new(what: &str) -> Self {
-        let bar = ProgressBar::with_draw_target(Some(1), ProgressDrawTarget::stderr_with_hz(10));
+        let bar = ProgressBar::with_draw_target(Some(1), target());
         // A wrapped line cannot be cleared.
-        let columns = tcgetwinsize(stderr()).map_or(0, |size| size.ws_col);
+        let columns = columns();
         let template = if columns < COLUMNS_FOR_BAR {
             "{prefix} {percent}%"
         } else {
@@ -65,6 +68,79 @@ impl Bar {
 impl Drop for Bar {
     fn drop(&mut self) {
         self.bar.finish_and_clear();
+        if !self.bar.is_hidden() {
+            tell::keep_order();
+        }
+    }
+}
+
+fn target() -> ProgressDrawTarget {
+    let is_dumb = std::env::var("TERM").is_ok_and(|terminal| terminal == "dumb");
+    if !stderr().is_terminal() || is_dumb {
+        return ProgressDrawTarget::hidden();
+    }
+    ProgressDrawTarget::term_like_with_hz(Box::new(Line::default()), 10)
+}
+
+/// Width of the terminal; 0: unknown.
+fn columns() -> u16 {
+    tcgetwinsize(stderr()).map_or(0, |size| size.ws_col)
+}
+
+/// The one line of a bar. Drawing it never waits for the terminal.
+#[derive(Debug, Default)]
+struct Line {
+    text: Mutex<String>,
+}
+
+impl TermLike for Line {
+    fn width(&self) -> u16 {
+        match columns() {
+            0 => COLUMNS_FOR_BAR,
+            columns => columns,
+        }
+    }
+
+    fn move_cursor_up(&self, _: usize) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn move_cursor_down(&self, _: usize) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn move_cursor_right(&self, _: usize) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn move_cursor_left(&self, _: usize) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn write_line(&self, text: &str) -> io::Result<()> {
+        self.write_str(text)
+    }
+
+    fn write_str(&self, text: &str) -> io::Result<()> {
+        *self.text.lock().unwrap_or_else(PoisonError::into_inner) += text;
+        Ok(())
+    }
+
+    fn clear_line(&self) -> io::Result<()> {
+        self.text
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clear();
+        Ok(())
+    }
+
+    fn flush(&self) -> io::Result<()> {
+        let mut text = self.text.lock().unwrap_or_else(PoisonError::into_inner);
+        // The blanks that fill the line are not shown: only one line can be removed.
+        let shown = text.trim_end().chars().take(self.width().into());
+        tell::show_bar(shown.collect());
+        text.clear();
+        Ok(())
     }
 }
 

@@ -38,4 +38,11 @@ impl Interrupt {
     pub(crate) fn is_raised(&self) -> bool {
         self.raised.load(Ordering::Relaxed)
     }
+
+    /// Whether a part of the command has caught a signal.
+    pub(crate) fn was_raised() -> bool {
+        RAISED
+            .get()
+            .is_some_and(|raised| raised.load(Ordering::Relaxed))
+    }
 }

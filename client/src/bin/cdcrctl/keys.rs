@@ -41,6 +41,11 @@ pub(crate) fn drawn<T>(drawn: io::Result<T>) -> io::Result<T> {
     drawn.or_else(|error| is_readable(Duration::ZERO).and(Err(error)))
 }
 
+/// Whether writing to a file would not block: somebody reads the terminal, or it is closed.
+pub(crate) fn takes_output(file: &dyn AsFd) -> bool {
+    poll_events(file, PollFlags::OUT, Duration::ZERO).is_ok_and(|found| !found.is_empty())
+}
+
 fn is_readable(timeout: Duration) -> io::Result<bool> {
     let found = poll_events(&io::stdin(), PollFlags::IN, timeout)?;
     if found.intersects(CLOSED) {

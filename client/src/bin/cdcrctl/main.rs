@@ -75,7 +75,14 @@ fn main() -> ExitCode {
     set_log_level(LogLevel::Fatal);
     args::complete::answer();
     let arguments = Arguments::parse();
-    match run(&arguments) {
+    let code = exit_code(run(&arguments));
+    tell::finish();
+    code
+}
+
+/// The exit code for an outcome; prints an error.
+fn exit_code(outcome: anyhow::Result<Done>) -> ExitCode {
+    match outcome {
         Ok(Done::Good) => ExitCode::SUCCESS,
         Ok(Done::Interrupted) => ExitCode::from(EXIT_INTERRUPTED),
         Ok(Done::DiskFull) => ExitCode::from(EXIT_DISK_FULL),

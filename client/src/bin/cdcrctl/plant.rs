@@ -13,6 +13,7 @@ use cdcr_shared_types::{InputEvent, Telemetry};
 use crate::Done;
 use crate::args::{PlantOptions, Target};
 use crate::interrupt::Interrupt;
+use crate::tell;
 
 /// Interval of the cable measurements.
 const TURN: Duration = Duration::from_millis(1);
@@ -73,7 +74,8 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
             reported.retain(|(_, at): &(_, Instant)| at.elapsed() < REPEAT_INTERVAL);
             if reported.iter().all(|(other, _)| *other != kind) {
                 reported.push((kind, Instant::now()));
-                tell!("refused: {refusal} ({} so far)", robot.driver().refusals());
+                let count = robot.driver().refusals();
+                tell::later(format!("refused: {refusal} ({count} so far)"));
             }
         }
         if !preset.measures_tip() {

@@ -1,4 +1,4 @@
-//! `cdcrctl top` and `scope` in a terminal, with the keys that people press.
+//! `cdcrctl top`, `scope` and a feed in a terminal, with the keys that people press.
 
 use std::fs::File;
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -8,8 +8,11 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_tests::{Daemon, Running, TIMEOUT, ask_for, wait_status};
+use cdcr_tests::{
+    Daemon, Running, STALL_TOLERANT, TIMEOUT, ask_for, wait_record, wait_status, wait_until,
+};
 use rustix::fs::OFlags;
 use rustix::process::Signal;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -182,6 +185,62 @@ fn keys_hold_and_stop_the_robot_while_the_terminal_is_not_read() {
         terminal.press("q");
         assert_eq!(top.wait(String::new).code(), Some(0));
         ask_for(&connection, RequestKind::Reset);
+    }
+}
+
+#[test]
+fn a_feed_goes_on_while_its_terminal_is_not_read_and_an_interrupt_ends_it() {
+    let daemon = Daemon::start(STALL_TOLERANT);
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    let (terminal, theirs) = Terminal::new(100, 30);
+    let line: Vec<_> = "ref circle --duration 600s --track".split(' ').collect();
+    let mut feed = shown(&daemon, &theirs, &line);
+    terminal.wait_for("of 600.0 s, error");
+    let shown = Arc::clone(&terminal.shown);
+    let unread = shown.lock().unwrap();
+    fill(&terminal.keys);
+    // Longer than the points last that are sent ahead, without a picture.
+    let begin = wait_record(&mut telemetry, |_| true);
+    let end_ns = begin.release_ns + 3_000_000_000;
+    let is_over = |record: &Telemetry| {
+        assert_eq!(record.mode, Mode::Tracking.code(), "the feed stands still");
+        record.release_ns > end_ns
+    };
+    wait_record(&mut telemetry, is_over);
+    feed.signal(Signal::INT);
+    wait_record(&mut telemetry, |record| record.mode == Mode::Holding.code());
+    assert_eq!(feed.wait(String::new).code(), Some(130));
+    drop(unread);
+}
+
+#[test]
+fn the_scope_records_and_ends_while_its_terminal_is_not_read() {
+    let daemon = Daemon::start("");
+    let connection = daemon.connect();
+    for fires in [true, false] {
+        let (mut terminal, theirs) = Terminal::new(80, 24);
+        let before = tcgetattr(&theirs).unwrap().local_modes;
+        let line = "scope --trigger mode --before 1s --after 300ms -o unread.mcap";
+        let line: Vec<_> = line.split(' ').collect();
+        let mut scope = shown(&daemon, &theirs, &line);
+        terminal.wait_for("clearance [mm]");
+        let shown = Arc::clone(&terminal.shown);
+        let unread = shown.lock().unwrap();
+        fill(&terminal.keys);
+        if fires {
+            ask_for(&connection, RequestKind::Home);
+            let file = daemon.place().folder().join("unread.mcap");
+            wait_until("it is recorded", || file.exists());
+            drop(unread);
+            terminal.wait_for("before and");
+            assert_eq!(scope.wait(String::new).code(), Some(0));
+            std::fs::remove_file(file).unwrap();
+        } else {
+            terminal.press("q");
+            assert_eq!(scope.wait(String::new).code(), Some(130));
+            assert_eq!(tcgetattr(&theirs).unwrap().local_modes, before);
+            drop(unread);
+        }
     }
 }
 

@@ -2,6 +2,7 @@ mod screen;
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, IsTerminal as _, Write, stdin, stdout};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -12,7 +13,7 @@ use ratatui::crossterm::terminal;
 use super::record::{Around, RecordTask, RecordWatch, record};
 use crate::Done;
 use crate::args::{ScopeOptions, Target};
-use crate::keys::{self, Keys};
+use crate::keys::Keys;
 use crate::top;
 use crate::trigger::Trigger;
 use screen::ScopeScreen;
@@ -30,7 +31,7 @@ pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Don
         after: options.after,
     };
     let mut scope = Scope {
-        shot: Shot::new(around),
+        shot: Arc::new(Mutex::new(Shot::new(around))),
         on_terminal: stdout().is_terminal() && stdin().is_terminal(),
         screen: None,
         keys: Keys::default(),
@@ -48,15 +49,15 @@ pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Don
         } else {
             usize::MAX
         };
-        let text = scope.shot.text();
+        let text = locked(&scope.shot).text();
         write!(stdout().lock(), "{}", fitting(&text, columns))?;
     }
     Ok(done)
 }
 
-/// The records, and the screen.
+/// The records, and the screen, which draws them in its own thread.
 struct Scope {
-    shot: Shot,
+    shot: Arc<Mutex<Shot>>,
     on_terminal: bool,
     screen: Option<ScopeScreen>,
     keys: Keys,
@@ -67,7 +68,7 @@ impl RecordWatch for Scope {
         if self.screen.is_none() {
             ().take(record, fires);
         }
-        self.shot.take(record, fires.is_some());
+        locked(&self.shot).take(record, fires.is_some());
     }
 
     fn should_end(&mut self) -> anyhow::Result<bool> {
@@ -76,10 +77,10 @@ impl RecordWatch for Scope {
         }
         let screen = match &mut self.screen {
             Some(screen) => screen,
-            none => none.insert(ScopeScreen::begin()?),
+            none => none.insert(ScopeScreen::begin(Arc::clone(&self.shot))?),
         };
         let mut is_quit = || -> io::Result<bool> {
-            keys::drawn(screen.show(&self.shot))?;
+            screen.check()?;
             while let Some(key) = self.keys.next_within(Duration::ZERO)? {
                 if top::quits(&key) {
                     return Ok(true);
@@ -97,6 +98,11 @@ impl RecordWatch for Scope {
     fn end(&mut self) {
         self.screen = None;
     }
+}
+
+/// The thread that draws holds this while it computes a picture, and never while it writes.
+fn locked(shot: &Mutex<Shot>) -> MutexGuard<'_, Shot> {
+    shot.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A strip chart: its name with unit, and the value of a record in that unit.

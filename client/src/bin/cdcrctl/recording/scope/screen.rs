@@ -1,62 +1,102 @@
 //! The live charts of `scope`, before and after the trigger.
+//!
+//! Invariant: only the thread of the screen writes to the terminal. While nobody reads that, the records are still taken,
+//! and keys and signals end the program.
 
-use std::io;
-use std::time::{Duration, Instant};
+use std::io::{self, stdout};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
 use anyhow::Context as _;
 use cdcr_shared_types::codes::Mode;
+use ratatui::Frame;
+use ratatui::crossterm::terminal::disable_raw_mode;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::Line;
 use ratatui::widgets::Paragraph;
 use ratatui::widgets::canvas::{self, Canvas, Context};
-use ratatui::{DefaultTerminal, Frame};
 
-use super::{STRIPS, Sample, Shot, number};
+use super::{STRIPS, Sample, Shot, locked, number};
+use crate::keys;
 use crate::picture::Signs;
+use crate::tell::Unread;
 use crate::trigger::Trigger;
 
-/// Interval of the pictures: records are not read while drawing.
+/// Interval of the pictures: no record is taken while one is computed.
 const EVERY: Duration = Duration::from_millis(66);
+/// Interval of the checks whether the thread has ended.
+const CHECK_INTERVAL: Duration = Duration::from_millis(5);
 const COLUMNS_MIN: u16 = 40;
 /// A row of names, one of modes, one of keys, and two per chart.
 const ROWS_MIN: u16 = 3 + 2 * STRIPS.len() as u16;
 /// Width of the numbers beside a chart.
 const LABEL_COLUMNS: u16 = 11;
 
-/// A terminal that is restored on drop.
+/// A thread with the terminal, which is given back on drop.
 #[derive(Debug)]
 pub(super) struct ScopeScreen {
-    terminal: DefaultTerminal,
-    drawn: Option<Instant>,
-    signs: Signs,
+    /// `None`: the thread is to end.
+    over: Option<Sender<()>>,
+    /// `None` after its end.
+    thread: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl ScopeScreen {
-    /// From here on a panic restores the terminal, too.
-    pub(super) fn begin() -> anyhow::Result<Self> {
+    pub(super) fn begin(shot: Arc<Mutex<Shot>>) -> anyhow::Result<Self> {
+        let (over, is_over) = channel();
+        let thread = thread::Builder::new().spawn(move || draw_on(&shot, &is_over));
         Ok(Self {
-            terminal: ratatui::try_init().context("the terminal")?,
-            drawn: None,
-            signs: Signs::of_terminal(),
+            over: Some(over),
+            thread: Some(thread.context("the thread of the screen")?),
         })
     }
 
-    /// Draws the records, if the last picture is old enough.
-    pub(super) fn show(&mut self, shot: &Shot) -> io::Result<()> {
-        if self.drawn.is_none_or(|drawn| drawn.elapsed() >= EVERY) {
-            let signs = self.signs;
-            self.terminal.draw(|frame| draw(shot, signs, frame))?;
-            self.drawn = Some(Instant::now());
+    /// Fails when the thread cannot draw.
+    pub(super) fn check(&mut self) -> io::Result<()> {
+        match self.thread.take_if(|thread| thread.is_finished()) {
+            Some(thread) => thread
+                .join()
+                .unwrap_or_else(|_| Err(io::Error::other("the thread of the screen panicked"))),
+            None => Ok(()),
         }
-        Ok(())
     }
 }
 
 impl Drop for ScopeScreen {
     fn drop(&mut self) {
-        ratatui::restore();
+        self.over = None;
+        let Some(thread) = &self.thread else { return };
+        let mut unread = Unread::default();
+        while !thread.is_finished() {
+            if unread.is_over(keys::takes_output(&stdout())) {
+                // The rest, which a terminal has to read, is lost.
+                drop(disable_raw_mode());
+                return;
+            }
+            thread::sleep(CHECK_INTERVAL);
+        }
     }
+}
+
+/// Draws until the end, and gives the terminal back.
+fn draw_on(shot: &Mutex<Shot>, is_over: &Receiver<()>) -> io::Result<()> {
+    // From here on a panic restores the terminal, too.
+    let mut terminal = ratatui::try_init()?;
+    let signs = Signs::of_terminal();
+    let drawn = loop {
+        let drawn = terminal.draw(|frame| draw(&locked(shot), signs, frame));
+        if let Err(error) = keys::drawn(drawn.map(drop)) {
+            break Err(error);
+        }
+        if is_over.recv_timeout(EVERY) != Err(RecvTimeoutError::Timeout) {
+            break Ok(());
+        }
+    };
+    let restored = ratatui::try_restore();
+    drawn.and(restored)
 }
 
 fn draw(shot: &Shot, signs: Signs, frame: &mut Frame<'_>) {
