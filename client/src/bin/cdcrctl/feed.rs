@@ -26,8 +26,9 @@ use crate::reach;
 use crate::shape_choice::Guided;
 use crate::standing::{MOVED_M, check_stands, distance_m};
 use crate::stop_cause::stop_remedy;
+use crate::tell;
 use crate::tip_error::TipError;
-use crate::unmeasured_tip;
+use crate::unmeasured_tip::{self, TipWatch};
 use crate::value::{CURVE_S, SPEED_M_S_MAX};
 use crate::way_end;
 
@@ -90,8 +91,9 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
             return Ok(done);
         }
     }
-    let (done, error) = follow(&connection, &*trajectory, feed, |_| Ok(()))?;
+    let (done, mut error) = follow(&connection, &*trajectory, feed, |_| Ok(()))?;
     if done == Done::Good {
+        error.unheard = unmeasured_tip::never(&connection);
         error.print(arguments.max_error)?;
     }
     Ok(done)
@@ -208,7 +210,7 @@ pub(crate) fn follow(
 ) -> anyhow::Result<(Done, TipError)> {
     let interrupt = Interrupt::catch()?;
     let bar = Bar::new(trajectory.name());
-    let mut error = TipError::default();
+    let (mut error, mut tip) = (TipError::default(), TipWatch::default());
     let mut refused = None;
     let report = connection.feed(trajectory, options)?.run(|event| {
         match event {
@@ -218,6 +220,7 @@ pub(crate) fn follow(
             }
             FeedEvent::Record(record) => {
                 error.take(record);
+                tip.take(record).into_iter().for_each(tell::later);
                 refused = watch(record).err();
             }
             FeedEvent::Progress(progress) => bar.show(&progress, error.live()),

@@ -41,6 +41,8 @@ pub(crate) struct TipError {
     silence: Silence,
     /// Why the final error is by the model, if it is.
     final_by_model: Option<String>,
+    /// Why no measurement of a configured tip sensor was ever accepted, if so: all errors are by the model.
+    pub(crate) unheard: Option<String>,
 }
 
 /// A place of the reference that the tip was away from.
@@ -237,10 +239,17 @@ impl TipError {
     }
 
     /// Prints the error, and fails if the estimated or measured one exceeds `limit_m`; without a limit, if the
-    /// last one exceeds [`ENDED_OFF_M`], or one on the way [`PASSED_OFF_M`].
+    /// last one exceeds [`ENDED_OFF_M`], or one on the way [`PASSED_OFF_M`]. Names a limit that the model decided.
     pub(crate) fn print(&self, limit_m: Option<f64>) -> anyhow::Result<()> {
         self.show()?;
-        limit_m.map_or_else(|| self.check_followed(), |limit_m| self.check(limit_m))
+        let Some(limit_m) = limit_m else {
+            return self.check_followed();
+        };
+        self.check(limit_m)?;
+        if let Some(decided) = self.decided_by_model() {
+            writeln!(std::io::stdout(), "--max-error was {decided}")?;
+        }
+        Ok(())
     }
 
     /// Prints the error.
@@ -263,11 +272,13 @@ impl TipError {
             )?;
         }
         if let Some(error_m) = self.mean_max_final_m() {
-            let by = self.unused_percent().map_or_else(String::new, |percent| {
-                format!(
+            let by = match (&self.unheard, self.unused_percent()) {
+                (Some(_), _) => " by the model".to_owned(),
+                (None, Some(percent)) => format!(
                     " by the model (the measured tip was not in use for {percent:.1} % of the time)"
-                )
-            });
+                ),
+                (None, None) => String::new(),
+            };
             let [mean, max, last] = error_m.map(|m| 1e3 * m);
             writeln!(
                 std::io::stdout(),
@@ -344,6 +355,9 @@ impl TipError {
     /// Names silence of the tip sensor, and the final error that is by the model.
     fn unmeasured_note(&self) -> Option<String> {
         const REMEDY: &str = "check the tip sensor (cdcrctl status, docs/drivers.md)";
+        if let Some(unheard) = &self.unheard {
+            return Some(format!("all errors are by the model: {unheard}"));
+        }
         let silent = self.silence.text().map(|silent| {
             format!("{silent}: the errors of that time are by the model, with the offset of the tip as it was last")
         });
@@ -377,11 +391,25 @@ impl TipError {
         };
         if max_m > limit_m {
             let [max, limit] = [max_m, limit_m].map(|m| 1e3 * m);
+            let decided = self.decided_by_model().map(|it| format!("; it was {it}"));
             bail!(
-                "the tip was up to {max:.3} mm from its reference{by}, more than --max-error, {limit:.3} mm"
+                "the tip was up to {max:.3} mm from its reference{by}, more than --max-error, {limit:.3} mm{}",
+                decided.unwrap_or_default()
             );
         }
         Ok(())
+    }
+
+    /// For how much of the time the error of the model decided about a limit; `None`: a measured tip was always in use, or there is none.
+    fn decided_by_model(&self) -> Option<String> {
+        if self.unheard.is_some() {
+            let decided = "decided by the model, because no tip measurement was accepted";
+            return Some(decided.to_owned());
+        }
+        let percent = self.unused_percent()?;
+        Some(format!(
+            "decided by the model for {percent:.1} % of the time, in which the measured tip was not in use"
+        ))
     }
 }
 

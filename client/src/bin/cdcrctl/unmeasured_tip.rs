@@ -100,10 +100,84 @@ pub(crate) fn warn_now(connection: &Connection) {
     }
 }
 
+/// What to say at the end of a motion, where a tip sensor is configured of which nothing was ever accepted.
+pub(crate) fn never(connection: &Connection) -> Option<String> {
+    let status = connection.status(STATUS).ok()?;
+    let unheard = Unheard::from_status(&status).filter(|unheard| *unheard == Unheard::Never)?;
+    let refused = refused_text(&status).unwrap_or_default();
+    Some(format!("{unheard}; {refused}"))
+}
+
+/// Whether the tip becomes that of the model during a motion.
+#[derive(Debug, Default)]
+pub(crate) struct TipWatch {
+    /// A measured tip was in use.
+    was_used: bool,
+    /// First release of those in a row whose measured tip was rejected \[ns\].
+    rejected_ns: Option<u64>,
+    is_told: bool,
+}
+
+impl TipWatch {
+    /// A warning when the measured tip has not been in use for [`SILENT_NS`], the first time.
+    pub(crate) fn take(&mut self, record: &Telemetry) -> Option<String> {
+        let silent_ns = silence_ns(record.release_ns, record.tip_measured_ns);
+        let cause = TipCause::try_from(record.tip_cause).ok();
+        let cause = cause.filter(|cause| *cause != TipCause::None);
+        if silent_ns.is_none() && cause.is_none() {
+            self.was_used |= record.tip_measured_ns > 0;
+            self.rejected_ns = None;
+            return None;
+        }
+        let since_ns = *self.rejected_ns.get_or_insert(record.release_ns);
+        let is_new = self.was_used && !self.is_told;
+        let lasts = silent_ns.is_some() || record.release_ns - since_ns > SILENT_NS;
+        if !is_new || !lasts {
+            return None;
+        }
+        self.is_told = true;
+        let cause = match (silent_ns, cause) {
+            (None, Some(cause)) => format!("the measured tip is not in use because {cause}"),
+            _ => "the tip sensor is silent".to_owned(),
+        };
+        Some(format!(
+            "warning: {cause}: until it measures again, the tip and its error are those of the model, and --max-error is decided by them \
+             (cdcrctl status)"
+        ))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::dry_run::tests::robot;
+
+    #[test]
+    fn a_tip_that_becomes_that_of_the_model_on_the_way_is_told_once() {
+        const STEP_NS: u64 = 5_000_000;
+        let told = |measured_until: u64, rejected_from: u64| {
+            let mut watch = TipWatch::default();
+            let record = |cycle: u64| Telemetry {
+                release_ns: cycle * STEP_NS,
+                tip_measured_ns: cycle.min(measured_until) * STEP_NS,
+                tip_cause: if cycle >= rejected_from {
+                    TipCause::Jumps.code()
+                } else {
+                    TipCause::None.code()
+                },
+                ..Telemetry::default()
+            };
+            let told = (1..=900).filter_map(|cycle| Some((cycle, watch.take(&record(cycle))?)));
+            told.collect::<Vec<_>>()
+        };
+        let silent = told(100, u64::MAX);
+        assert!(matches!(&silent[..], [(301, text)] if text.contains("the tip sensor is silent")));
+        let rejected = told(u64::MAX, 100);
+        assert!(matches!(&rejected[..], [(301, text)] if text.contains("because it moved faster")));
+        for of_never_or_always in [told(0, u64::MAX), told(u64::MAX, 800), told(u64::MAX, 0)] {
+            assert!(of_never_or_always.is_empty(), "{of_never_or_always:?}");
+        }
+    }
 
     #[test]
     fn a_tip_sensor_is_silent_only_after_it_has_measured() {

@@ -357,6 +357,22 @@ fn a_tip_sensor_of_which_nothing_is_accepted_is_named_with_its_refusals() {
     assert_eq!((status.has_tip_sensor, status.tip_measured_ns), (1, 0));
     assert_eq!(status.tip_refused_by, in_the_future.code());
     assert!(status.tips_refused > 0 && status.since_reset.tips_not_used > 0);
+    let printed = until_undisturbed("a reference is tracked without a tip", || {
+        let line = "cdcrctl ref circle --duration 10s --lead 1s --max-error 1m --track";
+        let mut feed = daemon.place().start(line);
+        robot.run_until(|| !feed.runs());
+        let printed = text(&feed.output());
+        (!printed.contains(Reason::InputsStale.text())).then_some(printed)
+    });
+    // At its start, which may be long ago, and at its end.
+    for part in [
+        "warning: no tip measurement accepted yet",
+        "tip error by the model: mean ",
+        "all errors are by the model: no tip measurement accepted yet; ",
+        "--max-error was decided by the model, because no tip measurement was accepted",
+    ] {
+        assert!(printed.contains(part), "{part}: {printed}");
+    }
 }
 
 /// The estimate goes on with the last offset, so its errors are small whatever the tip does: a person has to know it.
@@ -369,6 +385,9 @@ fn a_tip_sensor_that_falls_silent_on_the_way_makes_the_errors_those_of_the_model
         "the tip sensor was silent for up to ",
         "also the final one (tip sensor silent for ",
         "check the tip sensor",
+        "--max-error was decided by the model for ",
+        // At the time when it falls silent.
+        "warning: the tip sensor is silent",
     ] {
         assert!(printed.contains(part), "{part}: {printed}");
     }
@@ -422,5 +441,5 @@ fn tracked_while_the_tip_sensor_falls_silent() -> Option<String> {
         return None;
     }
     assert!(output.status.success(), "{output:?}");
-    Some(String::from_utf8(output.stdout).unwrap())
+    Some(text(&output))
 }

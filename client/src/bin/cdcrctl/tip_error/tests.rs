@@ -266,3 +266,35 @@ fn a_sensor_that_falls_silent_on_the_way_is_named_and_its_whole_silence_counts()
         assert_eq!(error.unmeasured_note(), None);
     }
 }
+
+#[test]
+fn a_limit_that_the_model_decided_is_named_where_it_is_broken() {
+    let failed = |error: &TipError| error.print(Some(0.0005)).expect_err("larger").to_string();
+    let mut error = TipError::default();
+    for cycle in 1..=400 {
+        let release_ns = 5_000_000 * cycle;
+        let mut record = record(Mode::Tracking, ReferenceState::Inside, release_ns, 0.001);
+        record.tip_measured_ns = 5_000_000 * cycle.min(100);
+        error.take(&record);
+    }
+    let text = failed(&error);
+    assert!(
+        text.contains("0.500 mm; it was decided by the model for 75."),
+        "{text}"
+    );
+    let mut error = TipError {
+        unheard: Some("no tip measurement accepted yet; none arrived".to_owned()),
+        ..TipError::default()
+    };
+    error.take(&record(Mode::Tracking, ReferenceState::Inside, 1, 0.001));
+    let text = failed(&error);
+    assert!(
+        text.ends_with("; it was decided by the model, because no tip measurement was accepted"),
+        "{text}"
+    );
+    let note = error.unmeasured_note().expect("a note");
+    assert_eq!(
+        note,
+        "all errors are by the model: no tip measurement accepted yet; none arrived"
+    );
+}
