@@ -74,7 +74,7 @@ impl From<LinkError> for Failure {
 fn code_of(error: &LinkError) -> Code {
     match error {
         LinkError::Port { .. } | LinkError::Askers { .. } => Code::Full,
-        LinkError::Silent { .. } => Code::Silent,
+        LinkError::Silent { .. } | LinkError::Replaced { .. } => Code::Silent,
         LinkError::ChunkPoints { .. }
         | LinkError::Obstacles { .. }
         | LinkError::Misplaced { .. } => Code::Argument,

@@ -240,7 +240,9 @@ pub(crate) fn not_reached(
             place: place.clone(),
             found,
         },
-        Liveness::Ended | Liveness::Unknown => ConnectError::not_running(place, found_of_dead),
+        Liveness::Ended | Liveness::Replaced | Liveness::Unknown => {
+            ConnectError::not_running(place, found_of_dead)
+        }
     }
 }
 

@@ -35,6 +35,10 @@ pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_millis(REQUEST_AGE_M
 /// its clients is lost: the obstacles, the reference and the lease. The lease holder gets
 /// [`RequestError::Restarted`] or [`FeedError::Restarted`](crate::FeedError::Restarted) and may acquire or feed
 /// again. `header.sender_id` identifies a daemon.
+///
+/// It does not outlive the root folder: once that was emptied or replaced, it reaches no daemon. Silence is then
+/// [`Liveness::Replaced`](crate::Liveness::Replaced), and a port that sends fails with [`LinkError::Replaced`] within four seconds.
+/// Open a new connection.
 #[derive(Debug)]
 pub struct Connection {
     place: Place,
@@ -113,8 +117,9 @@ impl Connection {
         status.ok_or_else(|| self.silent(Service::Status, timeout))
     }
 
-    pub(crate) fn silent(&self, service: Service, waited: Duration) -> LinkError {
-        LinkError::silent(service, waited, self.place.liveness())
+    /// The error for a daemon that has sent nothing on `service` for so long, with the cause as far as it is found.
+    pub fn silent(&self, service: Service, waited: Duration) -> LinkError {
+        LinkError::silent(service, waited, self.control.liveness())
     }
 
     /// The solver settings used by the first cycle that starts after this call; waits for it, at most 1 s.

@@ -68,6 +68,15 @@ pub enum LinkError {
         /// Whether the daemon still runs.
         liveness: Liveness,
     },
+    /// The root folder was emptied or replaced: the port lies in a deleted file, and no daemon receives.
+    #[error(
+        "nobody receives on the {service} service: the daemon's root folder was emptied or replaced since this program connected. \
+         Connect again, or start this program again"
+    )]
+    Replaced {
+        /// Last part of the service's name.
+        service: &'static str,
+    },
     /// A reference chunk without points or with too many.
     #[error("a reference chunk holds 1 to {CHUNK_POINTS_MAX} points, not {count}")]
     ChunkPoints {
@@ -100,6 +109,8 @@ pub enum Liveness {
     },
     /// No process holds the daemon's lock or name.
     Ended,
+    /// The root folder was emptied or replaced since this client connected: it reaches neither the daemon of then nor a later one.
+    Replaced,
 }
 
 impl Display for Liveness {
@@ -111,6 +122,9 @@ impl Display for Liveness {
                 write!(f, "it runs ({process}), but is stopped or delayed")
             }
             Self::Ended => f.write_str("it has ended (start one with `cdcrd run`)"),
+            Self::Replaced => f.write_str(
+                "its root folder was emptied or replaced since this program connected: connect again, or start this program again",
+            ),
         }
     }
 }
@@ -156,6 +170,12 @@ impl LinkError {
         Self::Receive {
             service: service.key(),
             cause: ipc::words(&cause),
+        }
+    }
+
+    pub(crate) fn replaced(service: Service) -> Self {
+        Self::Replaced {
+            service: service.key(),
         }
     }
 

@@ -199,6 +199,14 @@ impl Control {
         Ok(self.port.get_or_init(|| port))
     }
 
+    /// Liveness of the daemon, as far as this client can reach one.
+    pub(crate) fn liveness(&self) -> Liveness {
+        if self.channel.file.is_replaced() {
+            return Liveness::Replaced;
+        }
+        self.place.liveness()
+    }
+
     /// Sends a request and returns the answer if it is accepted. When the daemon ends without an answer, or
     /// none is running, the next daemon gets the request as soon as it knows the robot's configuration. So no
     /// request is lost within `timeout`. Of the `content`, header and kind are ignored.
@@ -228,7 +236,7 @@ impl Control {
                 return Err(RequestError::Timeout {
                     asked: RequestName::Request(kind),
                     waited: timeout,
-                    liveness: self.place.liveness(),
+                    liveness: self.liveness(),
                 });
             }
             thread::sleep(POLL_INTERVAL);

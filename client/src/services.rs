@@ -11,7 +11,7 @@ use cdcr_shared_types::{
     Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
     Service, Status, Telemetry, ipc,
 };
-use iceoryx2::prelude::{LogLevel, Node, set_log_level_from_env_or};
+use iceoryx2::prelude::{LogLevel, Node, ServiceName, set_log_level_from_env_or};
 use iceoryx2::service::Service as _;
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
@@ -35,6 +35,33 @@ pub(crate) type ControlChannel =
 pub(crate) struct Open<S> {
     service: S,
     root: PathBuf,
+    pub(crate) file: ServiceFile,
+}
+
+/// The file through which clients find a service, as it was when the service was opened.
+///
+/// A daemon that ends leaves it to the clients that have the service open, and the next daemon uses it. Only emptying or
+/// replacing the root folder removes it; then no later daemon finds those clients.
+#[derive(Debug, Clone)]
+pub(crate) struct ServiceFile {
+    path: PathBuf,
+    inode: Option<u64>,
+}
+
+impl ServiceFile {
+    fn new(path: PathBuf) -> Self {
+        let inode = path.symlink_metadata().ok().map(|file| file.ino());
+        Self { path, inode }
+    }
+
+    /// Whether it was deleted or replaced. A file that cannot be examined was not: systemd changes the mode of the folder
+    /// for a moment when it reloads a daemon.
+    pub(crate) fn is_replaced(&self) -> bool {
+        match self.path.symlink_metadata() {
+            Ok(file) => self.inode.is_some_and(|inode| inode != file.ino()),
+            Err(cause) => cause.kind() == io::ErrorKind::NotFound,
+        }
+    }
 }
 
 impl<S> Open<S> {
@@ -172,7 +199,7 @@ impl<'a> Opener<'a> {
             .service_builder(&name)
             .publish_subscribe::<T>()
             .open()
-            .map(|service| self.opened(service))
+            .map(|service| self.opened(service, &name, MessagingPattern::PublishSubscribe))
             .map_err(|cause| self.error(T::SERVICE, &[T::default().layout()], cause.into()))
     }
 
@@ -182,17 +209,19 @@ impl<'a> Opener<'a> {
             .service_builder(&name)
             .request_response::<Request, Response>()
             .open()
-            .map(|service| self.opened(service))
+            .map(|service| self.opened(service, &name, MessagingPattern::RequestResponse))
             .map_err(|cause| {
                 let ours = [Request::default().layout(), Response::default().layout()];
                 self.error(Service::Control, &ours, cause.into())
             })
     }
 
-    fn opened<S>(&self, service: S) -> Open<S> {
+    fn opened<S>(&self, service: S, name: &ServiceName, pattern: MessagingPattern) -> Open<S> {
+        let file = ipc::service_file(self.node.config(), name, pattern);
         Open {
             service,
             root: self.place.root.clone(),
+            file: ServiceFile::new(file),
         }
     }
 

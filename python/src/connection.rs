@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::model::broken_bound;
 use cdcr_client::{
-    self, CommandStream, ConnectError, LinkError, ObstacleSender, RequestError, Requester, Stream,
-    TelemetryStream,
+    self, CommandStream, ConnectError, LinkError, Liveness, ObstacleSender, RequestError,
+    Requester, Stream, TelemetryStream,
 };
 use cdcr_controller::robot::Robot as Model;
 use cdcr_shared_types::codes::{Outcome, RequestKind};
@@ -385,7 +385,9 @@ impl Connection {
         let (begin, until) = (Instant::now(), until("timeout_s", timeout_s)?);
         let status = self.worker.poll_on_thread(py, until, |desk, slice| {
             match desk.connection.status(slice) {
-                Err(LinkError::Silent { .. }) => Ok(None),
+                Err(LinkError::Silent { liveness, .. }) if liveness != Liveness::Replaced => {
+                    Ok(None)
+                }
                 status => Ok(Some(Box::new(status?))),
             }
         })?;
@@ -433,7 +435,10 @@ impl Connection {
         } else if heard.elapsed() > TELEMETRY_SILENT_AFTER
             || heard.elapsed() > SILENT_AFTER && !self.sends_commands(py)?
         {
-            let silent = self.address.silent(Service::Telemetry, heard.elapsed());
+            let waited = heard.elapsed();
+            let silent = self.worker.call_on_thread(py, move |desk| {
+                desk.connection.silent(Service::Telemetry, waited)
+            })?;
             return Err(Failure::from(silent).into());
         }
         records.append(fetched);

@@ -136,7 +136,9 @@ impl From<LinkError> for Failure {
             LinkError::Memory { .. } => FREE_MEMORY,
             LinkError::Silent { liveness, .. } => next_after_silence(*liveness),
             LinkError::ChunkPoints { .. } | LinkError::Obstacles { .. } => "Send fewer at a time.",
-            LinkError::Send { .. } | LinkError::Receive { .. } => "Connect again.",
+            LinkError::Replaced { .. } | LinkError::Send { .. } | LinkError::Receive { .. } => {
+                "Connect again."
+            }
         };
         Self::new(Class::Link, &error, remedy)
     }
@@ -233,6 +235,7 @@ fn next_after_silence(liveness: Liveness) -> &'static str {
         Liveness::Runs { .. } => {
             "Wait and try again; cdcrctl stop stops the robot. A daemon that stays silent needs to be started again."
         }
+        Liveness::Replaced => "Connect again.",
         Liveness::Unknown => "Check with cdcrctl status whether the daemon runs.",
     }
 }

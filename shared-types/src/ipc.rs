@@ -1,9 +1,13 @@
 //! The variant of iceoryx2 that daemon and clients use.
 
 use core::fmt::Debug;
+use std::path::{Path, PathBuf};
 
-use iceoryx2::prelude::ZeroCopySend;
+use iceoryx2::config::Config;
+use iceoryx2::prelude::{ServiceName, ZeroCopySend};
 use iceoryx2::service;
+use iceoryx2::service::messaging_pattern::MessagingPattern;
+use iceoryx2::service::service_hash::ServiceHash;
 use iceoryx2_bb_elementary_traits::testing::abandonable::Abandonable;
 use iceoryx2_cal::shm_allocator::bump_allocator::BumpAllocator;
 use iceoryx2_cal::shm_allocator::pool_allocator::PoolAllocator;
@@ -51,6 +55,15 @@ impl service::Service for Variant {
 }
 
 impl service::internal::ServiceInternal<Variant> for Variant {}
+
+/// The file through which clients find a service.
+pub fn service_file(config: &Config, name: &ServiceName, pattern: MessagingPattern) -> PathBuf {
+    let global = &config.global;
+    let hash = ServiceHash::new::<<Service as service::Service>::ServiceNameHasher>(name, pattern);
+    let suffix = &global.service.static_config_storage_suffix;
+    let file = format!("{}{}{suffix}", global.prefix, hash.as_str());
+    Path::new(&global.service_dir().to_string()).join(file)
+}
 
 const ALL_TAKEN: &str = "all places are taken";
 const SYSTEM_REFUSED: &str = "the system refused a file, a lock or memory";

@@ -80,7 +80,7 @@ impl From<RequestError> for FeedError {
         match error {
             RequestError::Timeout {
                 waited,
-                liveness: liveness @ Liveness::Ended,
+                liveness: liveness @ (Liveness::Ended | Liveness::Replaced),
                 ..
             } => LinkError::silent(Service::Control, waited, liveness).into(),
             error => Self::Request(error),

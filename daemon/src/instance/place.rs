@@ -6,11 +6,10 @@ use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use cdcr_shared_types::{Location, Service};
+use cdcr_shared_types::{Location, Service, ipc};
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 
 use super::{Instance, acl, file_error, is_file_at, lock, write_process_id};
-use crate::services::stale;
 
 /// The files that clients need to find the daemon, as they were at its start.
 #[derive(Debug)]
@@ -140,7 +139,7 @@ fn service_files(location: &Location, robot: &str) -> impl Iterator<Item = PathB
             _ => MessagingPattern::PublishSubscribe,
         };
         let name = service.name(robot).ok()?;
-        Some(stale::service_file(config.as_ref()?, &name, pattern))
+        Some(ipc::service_file(config.as_ref()?, &name, pattern))
     })
 }
 

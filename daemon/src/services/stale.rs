@@ -16,12 +16,9 @@ use iceoryx2::config::Config;
 use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::node::NodeState;
 use iceoryx2::prelude::{CallbackProgression, Node, ServiceName};
-use iceoryx2::service::Service;
 use iceoryx2::service::internal::ServiceInternal;
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::service_hash::ServiceHash;
-
-type Hasher = <ipc::Variant as Service>::ServiceNameHasher;
 
 /// Creates a service with `make`. First removes a service that cannot be opened because its creator was
 /// killed half-way. Its memory, if any, belongs to a dead node and is removed with that.
@@ -46,19 +43,6 @@ fn is_orphaned(cause: &dyn Debug) -> bool {
     ["HangsInCreation", "ServiceInCorruptedState"]
         .iter()
         .any(|name| cause.contains(name))
-}
-
-/// The file through which clients find a service.
-pub(crate) fn service_file(
-    config: &Config,
-    name: &ServiceName,
-    pattern: MessagingPattern,
-) -> PathBuf {
-    let global = &config.global;
-    let hash = ServiceHash::new::<Hasher>(name, pattern);
-    let suffix = &global.service.static_config_storage_suffix;
-    let file = format!("{}{}{suffix}", global.prefix, hash.as_str());
-    Path::new(&global.service_dir().to_string()).join(file)
 }
 
 /// The node that a port belongs to, and the port's number.
@@ -153,7 +137,7 @@ fn remove_lost_ports(config: &Config, service: &ServiceHash, ports: &[PortOfNode
 }
 
 fn remove(node: &Node<ipc::Variant>, name: &ServiceName, pattern: MessagingPattern) {
-    let path = service_file(node.config(), name, pattern);
+    let path = ipc::service_file(node.config(), name, pattern);
     let removed = std::fs::remove_file(&path);
     tracing::warn!(path = %path.display(), ?removed, "a killed daemon left this service orphaned");
 }

@@ -11,8 +11,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
-use cdcr_client::Connection;
+use cdcr_client::{Connection, LinkError, Liveness, RequestError};
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Location, NameHolder};
 use cdcr_test_skip::{Need, skip};
@@ -146,6 +147,41 @@ fn a_replaced_root_folder_ends_the_daemon_at_rest() {
         fs::rename(root, root.with_extension("away")).unwrap();
         fs::create_dir(root).unwrap();
     });
+}
+
+#[test]
+fn a_program_that_was_connected_to_an_emptied_root_folder_is_told_to_connect_again() {
+    let mut daemon = Daemon::start(STALL_TOLERANT);
+    let connection = daemon.connect();
+    let obstacles = connection.obstacle_sender().unwrap();
+    // A daemon that was killed is followed by the next one.
+    daemon.kill();
+    daemon.restart();
+    connection.status(TIMEOUT).unwrap();
+    ask_for(&connection, RequestKind::Hold);
+    daemon.kill();
+    empty(daemon.place().location().root());
+    daemon.restart();
+    assert!(daemon.connect().status(TIMEOUT).is_ok());
+    wait_until("it is silent, and why", || {
+        let status = connection.status(Duration::ZERO);
+        let cause = status.map(|_| ()).map_err(|error| match error {
+            LinkError::Silent { liveness, .. } => liveness,
+            error => panic!("{error}"),
+        });
+        cause == Err(Liveness::Replaced)
+    });
+    let asked = connection.request_within(RequestKind::Hold, Duration::from_millis(10));
+    let is_told = |liveness: Liveness| liveness.to_string().contains("connect again");
+    assert!(
+        matches!(&asked, Err(RequestError::Timeout { liveness, .. }) if is_told(*liveness)),
+        "{asked:?}"
+    );
+    wait_until("nobody receives, and why", || {
+        matches!(obstacles.clear(), Err(LinkError::Replaced { .. }))
+    });
+    let error = obstacles.clear().expect_err("for ever").to_string();
+    assert!(error.contains("Connect again"), "{error}");
 }
 
 #[test]
