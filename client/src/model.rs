@@ -136,3 +136,55 @@ pub fn broken_bound(wanted: &SolverSettings, status: &Status) -> Option<String> 
     let broken = rules.validate().err();
     broken.map(|bound| format!("with the other settings unchanged, {bound}"))
 }
+
+/// What a safe distance that becomes longer than the present clearance does to the robot: to warn of before
+/// [`Connection::change_settings`](crate::Connection::change_settings).
+pub fn moves_away(
+    before: &SolverSettings,
+    after: &SolverSettings,
+    status: &Status,
+) -> Option<String> {
+    let (is_m, was_m) = (after.safe_distance_m, before.safe_distance_m);
+    (is_m > was_m && status.clearance_m < is_m).then(|| {
+        format!(
+            "safe_distance_m = {is_m} is more than the present clearance of {:.3} m: a tracking robot leaves its reference and moves away from the \
+             obstacle, at up to the limits of its rates, and returns when the distance is lowered. In all other modes it does not move away; it just does not get closer",
+            status.clearance_m
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_safe_distance_above_the_present_clearance_is_warned_of_with_both() {
+        let with = |safe_distance_m| SolverSettings {
+            safe_distance_m,
+            ..SolverSettings::default()
+        };
+        let warned = |before_m, after_m, clearance_m| {
+            let status = Status {
+                clearance_m,
+                ..Status::default()
+            };
+            moves_away(&with(before_m), &with(after_m), &status)
+        };
+        let text = warned(0.01, 0.2, 0.0741).expect("it moves away");
+        for part in [
+            "safe_distance_m = 0.2 is more than the present clearance of 0.074 m",
+            "moves away from the obstacle",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
+        for (before_m, after_m, clearance_m) in [
+            (0.01, 0.05, 0.0741),
+            (0.2, 0.2, 0.0741),
+            (0.2, 0.1, 0.0741),
+            (0.01, 0.2, f64::INFINITY),
+        ] {
+            assert_eq!(warned(before_m, after_m, clearance_m), None);
+        }
+    }
+}

@@ -29,7 +29,8 @@ class Connection:
         Changes settings of the solver, by their names, and its time in each cycle, budget_ms [ms], 0: all the remaining period. The others
         stay. The daemon uses them from the next cycle on.
 
-        Raises ArgumentError for an unknown key and a value outside its range, RequestError if the daemon refuses.
+        Warns of a safe_distance_m above the present clearance: a tracking robot moves away from the obstacle. Raises ArgumentError for an unknown key and a
+        value outside its range, RequestError if the daemon refuses.
         """
     def clear_obstacles(self, /) -> None:
         """

@@ -7,7 +7,7 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use cdcr_client::model::broken_bound;
+use cdcr_client::model::{broken_bound, moves_away};
 use cdcr_client::{
     self, CommandStream, ConnectError, LinkError, Liveness, ObstacleSender, RequestError,
     Requester, Stream, TelemetryStream,
@@ -171,7 +171,8 @@ impl Connection {
     /// Changes settings of the solver, by their names, and its time in each cycle, budget_ms [ms], 0: all the remaining period. The others
     /// stay. The daemon uses them from the next cycle on.
     ///
-    /// Raises ArgumentError for an unknown key and a value outside its range, RequestError if the daemon refuses.
+    /// Warns of a safe_distance_m above the present clearance: a tracking robot moves away from the obstacle. Raises ArgumentError for an unknown key and a
+    /// value outside its range, RequestError if the daemon refuses.
     #[pyo3(signature = (*, budget_ms = None, **changes: "Unpack[Settings]"))]
     fn change_settings(
         &self,
@@ -185,6 +186,12 @@ impl Connection {
         let rate_weight_auto = || Ok(self.snapshot(py, 1.0)?.rate_weight_auto);
         let before = self.wire_settings(py)?;
         let wire = changed(before, budget_ms, changes, rate_weight_auto)?;
+        if wire.safe_distance_m > before.safe_distance_m {
+            let status = self.snapshot(py, 1.0)?;
+            if let Some(warning) = moves_away(&before, &wire, &status) {
+                py.import("warnings")?.call_method1("warn", (warning,))?;
+            }
+        }
         let changed = self
             .worker
             .call_on_thread(py, move |desk| desk.connection.change_settings(wire))?;

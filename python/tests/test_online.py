@@ -115,6 +115,19 @@ def test_settings_change_by_name_and_the_others_stay(daemon: Daemon) -> None:
         assert connection.settings()["horizon_steps"] == 4
 
 
+def test_a_safe_distance_above_the_clearance_is_warned_of(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        tip = connection.status()["tip_position_m"]
+        connection.set_obstacles({1: cdcr.Obstacle.sphere([tip[0] + 0.1, tip[1], tip[2]], 0.02)})
+        distance = connection.settings()["safe_distance_m"]
+        try:
+            with pytest.warns(UserWarning, match="is more than the present clearance of 0.0"):
+                connection.change_settings(safe_distance_m=0.5)
+        finally:
+            connection.change_settings(safe_distance_m=distance)
+            connection.clear_obstacles()
+
+
 def test_a_rate_weight_that_is_auto_is_the_number_of_the_robot() -> None:
     daemon = Daemon("--set", "link.simulated=laboratory")
     try:

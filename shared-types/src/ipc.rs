@@ -59,7 +59,7 @@ impl service::internal::ServiceInternal<Variant> for Variant {}
 /// The file through which clients find a service.
 pub fn service_file(config: &Config, name: &ServiceName, pattern: MessagingPattern) -> PathBuf {
     let global = &config.global;
-    let hash = ServiceHash::new::<<Service as service::Service>::ServiceNameHasher>(name, pattern);
+    let hash = ServiceHash::new::<<Variant as service::Service>::ServiceNameHasher>(name, pattern);
     let suffix = &global.service.static_config_storage_suffix;
     let file = format!("{}{}{suffix}", global.prefix, hash.as_str());
     Path::new(&global.service_dir().to_string()).join(file)

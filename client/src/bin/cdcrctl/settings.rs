@@ -7,7 +7,7 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::{bail, ensure};
-use cdcr_client::model::broken_bound;
+use cdcr_client::model::{broken_bound, moves_away};
 use cdcr_client::{Connection, LinkError, RequestError, STATUS_TIMEOUT, section_lengths_m};
 use cdcr_controller::nmpc::{budget_warning, rate_weight_warning, safe_distance_warning};
 use cdcr_shared_types::codes::Outcome;
@@ -94,18 +94,6 @@ fn object(settings: SolverSettings) -> Value {
     Value::Object(fields.collect())
 }
 
-/// What a safe distance that becomes longer than the present clearance does to the robot.
-fn moves_away(before: SolverSettings, after: SolverSettings, status: &Status) -> Option<String> {
-    let (is_m, was_m) = (after.safe_distance_m, before.safe_distance_m);
-    (is_m > was_m && status.clearance_m < is_m).then(|| {
-        format!(
-            "safe_distance_m = {is_m} is more than the present clearance of {:.3} m: a tracking robot leaves its reference and moves away from the \
-             obstacle, at up to the limits of its rates, and returns when the distance is lowered. In all other modes it does not move away; it just does not get closer",
-            status.clearance_m
-        )
-    })
-}
-
 /// Refuses two values for one setting.
 fn check_once(changes: &[SettingChange]) -> anyhow::Result<()> {
     for (index, change) in changes.iter().enumerate() {
@@ -127,7 +115,7 @@ fn set(connection: &Connection, changes: &[SettingChange]) -> anyhow::Result<Don
     for change in changes {
         change.apply(&mut after, rate_weight_auto);
     }
-    if let Some(warning) = moves_away(before, after, &connection.status(STATUS_TIMEOUT)?) {
+    if let Some(warning) = moves_away(&before, &after, &connection.status(STATUS_TIMEOUT)?) {
         tell!("warning: {warning}");
     }
     let response = match connection.change_settings(after) {
@@ -329,36 +317,6 @@ mod tests {
                 .apply(&mut wanted, 0.0);
             let reported = broken_bound(&wanted, &status).expect(change);
             assert!(reported.contains(bound), "{change}: {reported}");
-        }
-    }
-
-    #[test]
-    fn a_safe_distance_above_the_present_clearance_is_warned_of_with_both() {
-        let with = |safe_distance_m| SolverSettings {
-            safe_distance_m,
-            ..SolverSettings::default()
-        };
-        let warned = |before_m, after_m, clearance_m| {
-            let status = Status {
-                clearance_m,
-                ..Status::default()
-            };
-            moves_away(with(before_m), with(after_m), &status)
-        };
-        let text = warned(0.01, 0.2, 0.0741).expect("it moves away");
-        for part in [
-            "safe_distance_m = 0.2 is more than the present clearance of 0.074 m",
-            "moves away from the obstacle",
-        ] {
-            assert!(text.contains(part), "{text}");
-        }
-        for (before_m, after_m, clearance_m) in [
-            (0.01, 0.05, 0.0741),
-            (0.2, 0.2, 0.0741),
-            (0.2, 0.1, 0.0741),
-            (0.01, 0.2, f64::INFINITY),
-        ] {
-            assert_eq!(warned(before_m, after_m, clearance_m), None);
         }
     }
 
