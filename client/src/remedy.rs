@@ -124,7 +124,8 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
             "The chunks came too late: give this program more time, or send further ahead."
         }
         Reason::LeaseExpired | Reason::LeaseReleased => {
-            "This program was delayed for too long, or another client released its lease."
+            "This program was delayed for too long, or another client released its lease. cdcrctl status shows whether another client holds it now: end \
+             that one or wait for it, then feed again."
         }
         Reason::HomeReached => "Another client sent it home.",
         Reason::DeadlineMisses => {

@@ -221,6 +221,9 @@ impl From<FeedError> for Failure {
             FeedError::Refused { outcome, .. } => remedy(outcome),
             FeedError::Ignored => next_after_silence(Liveness::Unknown),
             FeedError::Restarted { .. } => "Feed again.",
+            FeedError::LeaseLost { .. } => {
+                "End the client that holds the lease (cdcrctl status), or wait for it; then feed again."
+            }
             FeedError::LeftTracking { remedy, .. } => remedy,
         };
         Self::new(Class::Feed, &error, next)

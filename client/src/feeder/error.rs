@@ -45,6 +45,15 @@ pub enum FeedError {
         /// Time of the point since the start of the trajectory \[s\].
         time_s: f64,
     },
+    /// The lease was lost before the daemon tracked the reference.
+    #[error(
+        "the lease was lost after {played_s:.2} s of the reference: this program was delayed for longer than reference.lease_ms, or another \
+         client released it. cdcrctl status shows whether another client holds it now: end that one or wait for it, then feed again"
+    )]
+    LeaseLost {
+        /// Played time of the trajectory \[s\].
+        played_s: f64,
+    },
     /// The daemon did not report an outcome of the first chunk.
     #[error("the daemon did not react to the reference within 1 s; see cdcrctl status")]
     Ignored,
@@ -74,6 +83,19 @@ pub enum FeedError {
     },
 }
 
+impl FeedError {
+    /// For a request to track a reference that this feed had the daemon accept.
+    pub(super) fn not_tracked(error: RequestError, played_s: f64) -> Self {
+        match error {
+            RequestError::Refused {
+                outcome: Outcome::NoLease | Outcome::NoReference,
+                ..
+            } => Self::LeaseLost { played_s },
+            error => error.into(),
+        }
+    }
+}
+
 impl From<RequestError> for FeedError {
     // When the daemon has ended, the error says so, independent of the request that failed.
     fn from(error: RequestError) -> Self {
@@ -91,8 +113,32 @@ impl From<RequestError> for FeedError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::RequestName;
+    use crate::{PoseDifference, RequestName};
+    use cdcr_shared_types::codes::{Mode, RequestKind};
     use std::time::Duration;
+
+    #[test]
+    fn a_feed_that_lost_its_lease_names_the_holder_and_not_how_to_feed() {
+        let refused = |outcome| RequestError::Refused {
+            asked: RequestName::Request(RequestKind::Track),
+            outcome,
+            mode: Mode::Holding,
+            pose: PoseDifference::default(),
+        };
+        for outcome in [Outcome::NoLease, Outcome::NoReference] {
+            let text = FeedError::not_tracked(refused(outcome), 1.5).to_string();
+            assert!(
+                text.contains("lost after 1.50 s") && text.contains("cdcrctl status shows"),
+                "{text}"
+            );
+            assert!(!text.contains("--track"), "{text}");
+        }
+        let too_far = refused(Outcome::TooFar);
+        assert_eq!(
+            FeedError::not_tracked(too_far.clone(), 0.0),
+            FeedError::Request(too_far)
+        );
+    }
 
     #[test]
     fn a_request_that_an_ended_daemon_did_not_answer_reports_its_end_and_no_lease() {

@@ -175,6 +175,11 @@ impl<'c> Feeder<'c> {
                 thread::sleep(turn(self.lease.left()));
             }
         }
+        if self.options.track && flow.is_continue() && !state.watch.is_tracking() {
+            // After a suspension of this program the records of its end may still be queued.
+            flow = self.read_records(&mut state, &mut observer)?;
+            state.check_tracked(flow)?;
+        }
         Ok(state.report(flow, self.telemetry.lost()))
     }
 
@@ -218,7 +223,8 @@ impl<'c> Feeder<'c> {
     /// Requests tracking once, after the first chunk is accepted.
     fn track_once(&self, state: &mut FeedState) -> Result<(), FeedError> {
         if self.options.track && !state.track_requested && state.watch.is_accepted() {
-            self.connection.request(RequestKind::Track)?;
+            let tracked = self.connection.request(RequestKind::Track);
+            tracked.map_err(|error| FeedError::not_tracked(error, state.played_s()))?;
             state.track_requested = true;
         }
         Ok(())
@@ -286,14 +292,27 @@ impl FeedState<'_> {
         Ok(())
     }
 
+    /// Fails where a reference that was to be tracked has passed and was not.
+    fn check_tracked(&self, flow: ControlFlow<()>) -> Result<(), FeedError> {
+        if flow.is_break() || self.watch.is_tracking() {
+            return Ok(());
+        }
+        let played_s = self.played_s();
+        Err(FeedError::LeaseLost { played_s })
+    }
+
     fn restarted(&self) -> FeedError {
-        let played_s = self.schedule.played_s(monotonic_ns());
+        let played_s = self.played_s();
         FeedError::Restarted { played_s }
+    }
+
+    fn played_s(&self) -> f64 {
+        self.schedule.played_s(monotonic_ns())
     }
 
     fn progress(&self, trajectory: &dyn Trajectory) -> FeedProgress {
         FeedProgress {
-            played_s: self.schedule.played_s(monotonic_ns()),
+            played_s: self.played_s(),
             duration_s: trajectory.duration_s(),
             sent_points: self.schedule.sent(),
             points: self.schedule.points(),

@@ -68,7 +68,7 @@ impl FeedWatch {
             return self.evaluate_other_daemon(record, schedule);
         }
         for event in events(record) {
-            self.evaluate_chunk_event(event, schedule)?;
+            self.evaluate_chunk_event(event, record.release_ns, schedule)?;
         }
         match Mode::try_from(record.mode) {
             Ok(Mode::Tracking) if self.accepted => self.tracking = true,
@@ -94,6 +94,7 @@ impl FeedWatch {
     fn evaluate_chunk_event(
         &mut self,
         event: &InputEvent,
+        release_ns: u64,
         schedule: &Schedule,
     ) -> Result<(), FeedError> {
         let is_ours =
@@ -106,6 +107,10 @@ impl FeedWatch {
             Ok(Outcome::Accepted) => {
                 self.accepted = true;
                 Ok(())
+            }
+            Ok(Outcome::NoLease) => {
+                let played_s = schedule.played_s(release_ns);
+                Err(FeedError::LeaseLost { played_s })
             }
             outcome => {
                 let point = first_point + u64::from(event.detail);
@@ -191,6 +196,8 @@ mod tests {
             assert!(!watch.is_accepted());
             assert!(evaluate(watch, with_event(ME, 1, Outcome::Accepted)).is_ok());
             assert!(watch.is_accepted());
+            let lost = evaluate(watch, with_event(ME, 2, Outcome::NoLease));
+            assert_eq!(lost, Err(FeedError::LeaseLost { played_s: 0.0 }));
             let error =
                 evaluate(watch, with_event(ME, 2, Outcome::OutOfReach)).expect_err("refused");
             assert_eq!(

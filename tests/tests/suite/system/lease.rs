@@ -1,11 +1,12 @@
 //! One client at a time feeds the reference.
 
+use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
-use cdcr_client::{RequestError, monotonic_ns};
+use cdcr_client::{FeedError, FeedEvent, FeedOptions, RequestError, monotonic_ns};
 use cdcr_shared_types::ReferencePoint;
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Interpolation, Outcome};
-use cdcr_tests::{Daemon, STALL_TOLERANT, TIMEOUT, wait_status};
+use cdcr_tests::{Daemon, STALL_TOLERANT, TIMEOUT, paper_line, wait_status};
 
 /// The same point repeatedly, from `lead` after now, 0.3 s apart.
 fn points(lead: Duration, count: u64) -> Vec<ReferencePoint> {
@@ -70,4 +71,24 @@ fn two_clients_one_lease() {
         "the reference went with its lease"
     );
     drop(lease);
+}
+
+#[test]
+fn a_feed_that_was_delayed_until_its_reference_was_over_names_the_lease() {
+    let daemon = Daemon::start("");
+    let connection = daemon.connect();
+    let line = paper_line(0.1);
+    let options = FeedOptions {
+        lead: Duration::from_millis(100),
+        track: true,
+        ..FeedOptions::default()
+    };
+    let ended = connection.feed(&line, options).unwrap().run(|event| {
+        if matches!(event, FeedEvent::Scheduled { .. }) {
+            std::thread::sleep(Duration::from_secs(1));
+        }
+        ControlFlow::Continue(())
+    });
+    let error = ended.expect_err("nothing was tracked");
+    assert!(matches!(error, FeedError::LeaseLost { .. }), "{error}");
 }
