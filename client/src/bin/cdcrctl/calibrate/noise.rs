@@ -75,22 +75,54 @@ pub(super) fn run(target: &Target, options: &NoiseOptions) -> anyhow::Result<Don
         "too few measurements in {:?}: at least {LEAST} are needed; use a longer --duration",
         options.duration
     );
+    let notes = notes(&first, cables.is_some(), tip.is_some());
     let status = connection.status(STATUS_TIMEOUT)?;
     let radii_m = status.robot.section.map(|section| section.cable_radius_m);
     let mut out = std::io::stdout().lock();
     match options.format {
-        Format::Text => write!(out, "{}", text(cables.as_ref(), tip.as_ref(), &radii_m)?)?,
+        Format::Text => write!(
+            out,
+            "{}",
+            text(cables.as_ref(), tip.as_ref(), &notes, &radii_m)?
+        )?,
         Format::Json => writeln!(
             out,
             "{:#}",
             json!({
                 "cables": cables,
                 "tip": tip,
+                "notes": notes,
                 "toml": fragment(cables.as_ref(), tip.as_ref(), &radii_m)?,
             })
         )?,
     }
     Ok(Done::Good)
+}
+
+/// Why the noise of the cables, of which that of the bends follows, or of the tip is not shown.
+fn notes(record: &Telemetry, has_cables: bool, has_tip: bool) -> Vec<String> {
+    let sensors = Sensors::from_record(record);
+    let too_few = format!("fewer than {LEAST} measurements; use a longer --duration");
+    let mut notes = Vec::new();
+    if !has_cables {
+        let cause = match MeasurementKind::try_from(record.measurement.kind) {
+            _ if sensors.cables => &too_few,
+            Ok(MeasurementKind::Configuration) => {
+                "the driver measures bends and no cable lengths; this command does not evaluate the noise of bends"
+            }
+            _ => "not measured, the driver sends the tip alone; the bends are estimated from it",
+        };
+        notes.push(format!("cables and bends: {cause}"));
+    }
+    if !has_tip {
+        let cause = if sensors.tip {
+            &too_few
+        } else {
+            "not measured"
+        };
+        notes.push(format!("tip: {cause}"));
+    }
+    notes
 }
 
 fn take(record: &Telemetry, cables: &mut Sensor, tip: &mut Sensor) {
@@ -166,6 +198,7 @@ impl SensorNoise {
 fn text(
     cables: Option<&SensorNoise>,
     tip: Option<&SensorNoise>,
+    notes: &[String],
     radii_m: &[f64],
 ) -> Result<String, std::fmt::Error> {
     let mut out = String::new();
@@ -193,6 +226,9 @@ fn text(
                 "{name:<12}{deviation:>16.4}{step:>14.6}{rate_hz:>12.1}{age_ms:>12.2}"
             )?;
         }
+    }
+    for note in notes {
+        writeln!(out, "{note}")?;
     }
     write!(out, "\n{}", fragment(cables, tip, radii_m)?)?;
     Ok(out)
@@ -229,6 +265,39 @@ fn fragment(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_sensor_that_is_not_shown_is_named_with_the_cause() {
+        for (kind, tip_measured_ns, shown, causes) in [
+            (MeasurementKind::CableLengths, 5, (true, true), &[][..]),
+            (
+                MeasurementKind::TipPose,
+                0,
+                (false, true),
+                &["cables and bends: not measured, the driver sends the tip alone"],
+            ),
+            (
+                MeasurementKind::Configuration,
+                5,
+                (false, true),
+                &["cables and bends: the driver measures bends"],
+            ),
+            (
+                MeasurementKind::CableLengths,
+                0,
+                (false, false),
+                &["cables and bends: fewer than 20", "tip: not measured"],
+            ),
+        ] {
+            let mut record = Telemetry::default();
+            record.measurement.kind = kind.code();
+            record.tip_measured_ns = tip_measured_ns;
+            let notes = notes(&record, shown.0, shown.1);
+            assert_eq!(notes.len(), causes.len(), "{notes:?}");
+            let is_named = |(note, cause): (&String, &&str)| note.starts_with(*cause);
+            assert!(notes.iter().zip(causes).all(is_named), "{notes:?}");
+        }
+    }
 
     // Counts of 0.1 mm around a length, every second release, 2 ms old.
     #[test]
