@@ -728,7 +728,8 @@ typedef struct CdcrStatus {
     uint64_t period_ns;
     /* 160: Deadline D [ns] after the release. */
     uint64_t deadline_ns;
-    /* 168: Cycles run since the start, whatever was reset. */
+    /* 168: Cycles run since the start, whatever was reset. The cycle numbers of answers and telemetry count the
+     * skipped releases, too: at t, they are at (t - origin_ns) / period_ns. */
     uint64_t cycles;
     /* 176: Cycles that started later than the late-start limit. */
     uint64_t late_starts;

@@ -134,7 +134,8 @@ message! {
         /// Deadline D \[ns\] after the release.
         deadline_ns: u64,
 
-        /// Cycles run since the start, whatever was reset.
+        /// Cycles run since the start, whatever was reset. The cycle numbers of answers and telemetry count the skipped
+        /// releases, too: at `t`, they are at `(t - origin_ns) / period_ns`.
         cycles: u64,
         /// Cycles that started later than the late-start limit.
         late_starts: u64,

@@ -133,6 +133,12 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
         counted(status.faults, "fault"),
         counted(status.cycles, "cycle"),
     )?;
+    if let Some(cycle) = newest_cycle(status) {
+        writeln!(
+            out,
+            "cycle       {cycle} now, as answers and telemetry number them: skipped releases count, too"
+        )?;
+    }
     if let Some(bend) = broken {
         writeln!(out, "            {bend}")?;
     }
@@ -177,6 +183,12 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
         writeln!(out, "            {name} is missing: {remedy}")?;
     }
     Ok(())
+}
+
+/// Number on the grid of the cycle that ran when the status was sent.
+fn newest_cycle(status: &Status) -> Option<u64> {
+    let since_ns = status.header.sent_ns.checked_sub(status.origin_ns)?;
+    since_ns.checked_div(status.period_ns)
 }
 
 /// Section and distance, where a reset has to accept them.

@@ -8,6 +8,8 @@ fn the_table_shows_the_essential_values() {
         realtime_missing: realtime::FIFO,
         core: u32::MAX,
         cycles: 1234,
+        origin_ns: 1_000_000_000,
+        period_ns: 5_000_000,
         faults: 5,
         obstacle_count: 2,
         clearance_m: 0.0105,
@@ -25,6 +27,7 @@ fn the_table_shows_the_essential_values() {
         ..Status::default()
     };
     status.robot.sections = 2;
+    status.header.sent_ns = 7_503_000_000;
     status.outcomes[Outcome::NoLease.code() as usize] = 3;
     status.since_reset.wake.count = 1;
     status.since_reset.wake.p99_ns = 42_500;
@@ -39,6 +42,7 @@ fn the_table_shows_the_essential_values() {
     let table = table(&status, None, 124_900_000_000).expect("formatted");
     for expected in [
         "mode        tracking (started), 5 faults in 1234 cycles\n",
+        "\ncycle       1300 now, as answers and telemetry number them",
         "misses      the leaky bucket was full 3 times; a real robot would have been stopped",
         "tip         100.0, -20.0, 300.0 mm, 1.500 mm from its reference, 101.5, -20.0, 300.0 mm; measured 1.800 mm from it\n",
         "following   position interface, error 0.0200 rad, 0.00 mm of cable (8 cycles above the warning)\n",
