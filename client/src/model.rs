@@ -84,6 +84,7 @@ pub fn reference_points(chunk: &ReferenceChunk) -> Option<Vec<reference::Referen
         let orientation = match OrientationKind::try_from(point.orientation_kind).ok()? {
             OrientationKind::None => Orientation::Free,
             OrientationKind::Axis => Orientation::Axis([x, y, z]),
+            OrientationKind::Preferred => Orientation::Preferred([x, y, z]),
             OrientationKind::Full => Orientation::Full(point.orientation),
         };
         Some(reference::ReferencePoint {
@@ -101,6 +102,9 @@ pub fn orientation_of(orientation: Orientation) -> reference::Orientation {
     match orientation {
         Orientation::Free => reference::Orientation::Free,
         Orientation::Axis(axis) => reference::Orientation::Axis(Unit::new_normalize(axis.into())),
+        Orientation::Preferred(axis) => {
+            reference::Orientation::Preferred(Unit::new_normalize(axis.into()))
+        }
         Orientation::Full([x, y, z, w]) => {
             let rotation = Quaternion::new(w, x, y, z);
             reference::Orientation::Full(UnitQuaternion::from_quaternion(rotation))

@@ -221,7 +221,9 @@ fn points(
     let point = |((time_s, place), orientation): ((&f64, &[f64]), Orientation)| {
         let (kind, orientation) = match orientation {
             Orientation::Full(quaternion) => (OrientationKind::Full, quaternion),
-            Orientation::Free | Orientation::Axis(_) => (OrientationKind::None, [0.0; 4]),
+            Orientation::Free | Orientation::Axis(_) | Orientation::Preferred(_) => {
+                (OrientationKind::None, [0.0; 4])
+            }
         };
         ReferencePoint {
             time_ns: start_ns + (time_s * 1e9).round() as u64,

@@ -116,6 +116,8 @@ wire_enum! {
         Axis = 1: "tip axis",
         /// All three angles.
         Full = 2: "full orientation",
+        /// The direction of the tip axis that the daemon prefers where the position leaves a choice.
+        Preferred = 3: "preferred tip axis",
     }
 }
 

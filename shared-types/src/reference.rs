@@ -9,7 +9,7 @@ message! {
         time_ns: u64,
         /// Tip position in the base frame \[m\].
         position_m: [f64; 3],
-        /// Meaning by `orientation_kind`: unused; tip axis as unit vector (x, y, z, 0); or unit
+        /// Meaning by `orientation_kind`: unused; tip axis, or preferred one, as unit vector (x, y, z, 0); or unit
         /// quaternion (x, y, z, w) base → tip.
         orientation: [f64; 4],
         /// [`codes::OrientationKind`](crate::codes::OrientationKind).

@@ -212,7 +212,7 @@ fn reference_orientation(record: &Telemetry) -> [f64; 4] {
             let [x, y, z, _] = reference.orientation;
             super::scene::upright_to([x, y, z].into())
         }
-        Ok(OrientationKind::None) | Err(_) => [0.0, 0.0, 0.0, 1.0],
+        Ok(OrientationKind::None | OrientationKind::Preferred) | Err(_) => [0.0, 0.0, 0.0, 1.0],
     }
 }
 

@@ -36,6 +36,9 @@ pub enum Orientation {
     Free,
     /// The tip axis has this direction, a unit vector (x, y, z) in the base frame.
     Axis([f64; 3]),
+    /// The daemon prefers this direction of the tip axis, a unit vector, where the position leaves a choice: it chooses a shape
+    /// and moves the tip by less than a millimetre.
+    Preferred([f64; 3]),
     /// The full orientation: unit quaternion (x, y, z, w) base → tip.
     Full([f64; 4]),
 }
@@ -68,6 +71,7 @@ pub trait Trajectory {
         let (kind, orientation) = match self.orientation(time_s) {
             Orientation::Free => (OrientationKind::None, [0.0; 4]),
             Orientation::Axis([x, y, z]) => (OrientationKind::Axis, [x, y, z, 0.0]),
+            Orientation::Preferred([x, y, z]) => (OrientationKind::Preferred, [x, y, z, 0.0]),
             Orientation::Full(quaternion) => (OrientationKind::Full, quaternion),
         };
         ReferencePoint {

@@ -48,6 +48,7 @@ mod ways;
 
 pub use crate::reference::HORIZON_STEPS_MAX;
 pub use horizon::Horizon;
+pub use pose_error::PREFERRED_LEVER_M;
 pub use report::{Constraint, SolveReport, SolveStatus};
 pub use settings::{Coordinates, NmpcSettings, RateWeight, SettingsError, SolverKind, ranges};
 pub use unintended::{budget_warning, rate_weight_warning, safe_distance_warning};

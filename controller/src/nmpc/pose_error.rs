@@ -17,6 +17,24 @@ pub(super) struct PoseWeights {
     pub tolerance_rad: f64,
 }
 
+/// An angle between the tip axis and a preferred one costs as much as the distance that this lever turned by it makes
+/// \[m\], and at most as much as between the tip axis and a required one. It decides between shapes that reach the
+/// position, and beside millimetres of distance it does not count. It is 0 where the weight of orientations is 0.
+pub const PREFERRED_LEVER_M: f64 = 0.01;
+
+impl PoseWeights {
+    /// The weights with a preferred axis in place of a required one.
+    #[inline(always)]
+    fn of_preference(&self) -> Self {
+        let preference = PREFERRED_LEVER_M * PREFERRED_LEVER_M * self.position;
+        Self {
+            orientation: preference.min(self.orientation),
+            tolerance_rad: 0.0,
+            ..*self
+        }
+    }
+}
+
 /// The weighted squared error of W tips.
 ///
 /// The orientation error is the chord 2 sin(α/2), where α is the angle between the axes, or of the rotation
@@ -31,6 +49,11 @@ pub(super) fn squared_error<const W: usize>(
     weights: &PoseWeights,
 ) -> Wide<W> {
     match target.orientation {
+        Orientation::Preferred(axis) if weights.orientation > 0.0 => {
+            let (tip, [z]) = robot.tip_frame_wide::<W, 1>(bend_rad);
+            distance_squared(&tip, &target.position_m) * weights.position
+                + distance_squared(&z, &axis) * weights.of_preference().orientation
+        }
         Orientation::Axis(axis) if weights.orientation > 0.0 => {
             let (tip, [z]) = robot.tip_frame_wide::<W, 1>(bend_rad);
             let chord = distance_squared(&z, &axis);
@@ -116,6 +139,10 @@ pub(super) fn residuals(
             Orientation::Axis(axis) => {
                 let axes = [(tip.rotation.column(2).into(), axis.into_inner())];
                 chord_residuals(&axes, 1.0, jacobian, weights, push);
+            }
+            Orientation::Preferred(axis) => {
+                let axes = [(tip.rotation.column(2).into(), axis.into_inner())];
+                chord_residuals(&axes, 1.0, jacobian, &weights.of_preference(), push);
             }
             Orientation::Full(rotation) => {
                 let wanted: Matrix3<f64> = rotation.to_rotation_matrix().into_inner();

@@ -351,7 +351,7 @@ impl<'a> TrackingProblem<'a> {
     fn linearise_step_ns(&self, step: usize) -> u32 {
         let rows = match self.target(step).map(|target| target.orientation) {
             None | Some(Orientation::Free) => 3,
-            Some(Orientation::Axis(_)) => 6,
+            Some(Orientation::Axis(_) | Orientation::Preferred(_)) => 6,
             Some(Orientation::Full(_)) => 12,
         };
         3 * self.sections_ns(SECTION_NS) + rows * ROW_NS * self.dimension() as u32 / 3

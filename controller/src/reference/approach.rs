@@ -154,11 +154,11 @@ fn speed_left(s: f64) -> f64 {
     s - s * s * s * (6.0 - s * (8.0 - 3.0 * s))
 }
 
-/// Rotation from the reference's orientation to the tip's, as axis times angle \[rad\]. Zero for exactly opposite axes,
+/// Rotation from the reference's orientation to the tip's, as axis times angle \[rad\]. Zero for a preferred axis, and for exactly opposite axes,
 /// which have no shortest rotation; the solver then finds one.
 pub(super) fn turn_rad(tip: &Pose, wanted: &Orientation) -> Vector3<f64> {
     let turn = match *wanted {
-        Orientation::Free => None,
+        Orientation::Free | Orientation::Preferred(_) => None,
         Orientation::Axis(axis) => {
             let tip_axis = Unit::new_normalize(tip.rotation * Vector3::z());
             UnitQuaternion::rotation_between_axis(&axis, &tip_axis)

@@ -85,6 +85,9 @@ pub(super) fn orientation(from: Orientation, to: Orientation, part: f64) -> Orie
             Orientation::Full(from.try_slerp(&to, part, 1e-12).unwrap_or(to))
         }
         (Orientation::Axis(from), Orientation::Axis(to)) => Orientation::Axis(axis(from, to, part)),
+        (Orientation::Preferred(from), Orientation::Preferred(to)) => {
+            Orientation::Preferred(axis(from, to, part))
+        }
         _ if part < 0.5 => from,
         _ => to,
     }

@@ -34,6 +34,9 @@ pub enum Orientation {
     Free,
     /// Direction of the tip axis (the z axis of the tip frame) in the base frame.
     Axis(Unit<Vector3<f64>>),
+    /// Direction of the tip axis that the solver prefers where the position leaves a choice: it chooses a shape and hardly
+    /// moves the tip, see [`PREFERRED_LEVER_M`](crate::nmpc::PREFERRED_LEVER_M).
+    Preferred(Unit<Vector3<f64>>),
     /// The complete rotation base → tip.
     Full(UnitQuaternion<f64>),
 }
@@ -46,6 +49,7 @@ impl Orientation {
         match *self {
             Self::Free => Self::Free,
             Self::Axis(axis) => Self::Axis(turn * axis),
+            Self::Preferred(axis) => Self::Preferred(turn * axis),
             Self::Full(rotation) => Self::Full(turn * rotation),
         }
     }

@@ -331,13 +331,17 @@ struct Case {
     seed: u64,
 }
 
-/// No orientation, an axis or a rotation.
+/// No orientation, a required or preferred axis, or a rotation.
 fn orientations() -> impl Strategy<Value = Orientation> {
     prop_oneof![
         Just(Orientation::Free),
-        prop::array::uniform3(-1.0..1.0_f64).prop_map(|axis| {
+        (any::<bool>(), prop::array::uniform3(-1.0..1.0_f64)).prop_map(|(is_required, axis)| {
             let axis = Vector3::from(axis) + Vector3::new(0.0, 0.0, 1e-3);
-            Orientation::Axis(Unit::new_normalize(axis))
+            let axis = Unit::new_normalize(axis);
+            match is_required {
+                true => Orientation::Axis(axis),
+                false => Orientation::Preferred(axis),
+            }
         }),
         prop::array::uniform3(-3.0..3.0_f64).prop_map(|[a, b, c]| {
             Orientation::Full(UnitQuaternion::from_euler_angles(a, b, c))

@@ -114,11 +114,16 @@ fn orientation(point: &wire::ReferencePoint) -> Result<Orientation, Outcome> {
     let [x, y, z, w] = point.orientation;
     match codes::OrientationKind::try_from(point.orientation_kind) {
         Ok(codes::OrientationKind::None) => Ok(Orientation::Free),
-        Ok(codes::OrientationKind::Axis) => {
+        Ok(kind @ (codes::OrientationKind::Axis | codes::OrientationKind::Preferred)) => {
             let axis = Vector3::new(x, y, z);
-            let is_unit = (axis.norm() - 1.0).abs() <= UNIT_TOLERANCE;
-            let axis = is_unit.then(|| Orientation::Axis(Unit::new_normalize(axis)));
-            axis.ok_or(Outcome::NotUnit)
+            if (axis.norm() - 1.0).abs() > UNIT_TOLERANCE {
+                return Err(Outcome::NotUnit);
+            }
+            let axis = Unit::new_normalize(axis);
+            Ok(match kind {
+                codes::OrientationKind::Preferred => Orientation::Preferred(axis),
+                _ => Orientation::Axis(axis),
+            })
         }
         Ok(codes::OrientationKind::Full) => {
             let rotation = Quaternion::new(w, x, y, z);

@@ -377,6 +377,10 @@ fn reference(sample: &ReferenceSample) -> wire::ReferenceSample {
     let (orientation, kind) = match sample.orientation {
         Orientation::Free => ([0.0; 4], codes::OrientationKind::None),
         Orientation::Axis(axis) => ([axis.x, axis.y, axis.z, 0.0], codes::OrientationKind::Axis),
+        Orientation::Preferred(axis) => {
+            let kind = codes::OrientationKind::Preferred;
+            ([axis.x, axis.y, axis.z, 0.0], kind)
+        }
         Orientation::Full(full) => (full.coords.into(), codes::OrientationKind::Full),
     };
     wire::ReferenceSample {

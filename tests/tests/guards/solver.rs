@@ -134,9 +134,10 @@ fn run(nmpc: &mut Nmpc) {
     let mut settings = *nmpc.settings();
     for cycle in 0..60 {
         let t = cycle as f64 * PERIOD_S;
-        let orientation = match cycle % 3 {
+        let orientation = match cycle % 4 {
             0 => Orientation::Free,
             1 => Orientation::Axis(Vector3::z_axis()),
+            2 => Orientation::Preferred(Vector3::x_axis()),
             _ => Orientation::Full(UnitQuaternion::identity()),
         };
         let jump_m = if cycle > 45 { 0.3 } else { 0.0 };

@@ -172,7 +172,10 @@ pub(crate) fn simulate(
         .with_stopping(valid_periods, record.deceleration_rad_s2)
         .with_tip_offset(record.tip_margin_m);
     let mut demands = Demands::new(&robot, &settings, way.error_m());
-    demands.has_orientation = trajectory.orientation(0.0) != Orientation::Free;
+    demands.has_orientation = matches!(
+        trajectory.orientation(0.0),
+        Orientation::Axis(_) | Orientation::Full(_)
+    );
     let (mut nearest_m, mut since) = (f64::INFINITY, 0);
     while since < STALL_CYCLES && way.time_s() < MOVE_MAX_S {
         demands.before.step(&mut way, &mut nmpc, period_s);

@@ -3,7 +3,8 @@
 //! A straight robot of several sections shortens by bending them against each other, in any plane and to either side. All these
 //! shapes bring the tip to the same points, so noise would choose among them, and one may end at a bend limit where another has
 //! room. Near the straight robot, position and axis of the tip together determine bends that the position leaves open. So the
-//! reference contains the tip axis of the chosen shape on the first part of the way; from there on, the robot's shape decides.
+//! reference contains the tip axis of the chosen shape, as a preferred one, on the first part of the way; from there on, the robot's shape decides.
+//! A required axis would compete with the position, and its end would set the tip free at once.
 
 use cdcr_client::model::obstacle_of;
 use cdcr_client::{Orientation, Straight, Trajectory, obstacles};
@@ -102,7 +103,7 @@ impl Trajectory for Guided {
         let at = share.sqrt() * STEPS as f64;
         let [from, to] =
             [at.floor(), at.ceil()].map(|step| Vector3::from(self.axes[step as usize]));
-        Orientation::Axis(from.lerp(&to, at.fract()).normalize().into())
+        Orientation::Preferred(from.lerp(&to, at.fract()).normalize().into())
     }
 }
 

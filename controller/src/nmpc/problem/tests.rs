@@ -29,9 +29,15 @@ fn orientations() -> impl Strategy<Value = Orientation> {
     let vector = || prop::array::uniform3(-1.0..1.0_f64).prop_map(Vector3::from);
     prop_oneof![
         Just(Orientation::Free),
-        vector()
-            .prop_filter("a direction", |axis| axis.norm() > 0.1)
-            .prop_map(|axis| Orientation::Axis(Unit::new_normalize(axis))),
+        (any::<bool>(), vector())
+            .prop_filter("a direction", |(_, axis)| axis.norm() > 0.1)
+            .prop_map(|(is_required, axis)| {
+                let axis = Unit::new_normalize(axis);
+                match is_required {
+                    true => Orientation::Axis(axis),
+                    false => Orientation::Preferred(axis),
+                }
+            }),
         vector().prop_map(|turn| Orientation::Full(UnitQuaternion::from_scaled_axis(turn * 3.0))),
     ]
 }

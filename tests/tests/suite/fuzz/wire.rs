@@ -51,7 +51,7 @@ fn accepts_chunk(chunk: &message::ReferenceChunk, robot: &Robot) -> bool {
         assert!(point.time_ns > BEGIN_NS && point.position_m.norm() <= robot.reach_m() + 2e-6);
         let length = match point.orientation {
             Orientation::Free => 1.0,
-            Orientation::Axis(axis) => axis.norm(),
+            Orientation::Axis(axis) | Orientation::Preferred(axis) => axis.norm(),
             Orientation::Full(full) => full.norm(),
         };
         assert!((length - 1.0).abs() < 1e-12, "{:?}", point.orientation);
@@ -73,7 +73,7 @@ fn accepts_chunk(chunk: &message::ReferenceChunk, robot: &Robot) -> bool {
                 assert!(sample.state != ReferenceState::None);
                 let within_m = robot.reach_m() + 2e-6;
                 assert!(sample.position_m.norm() <= within_m, "{sample:?}");
-                if let Orientation::Axis(axis) = sample.orientation {
+                if let Orientation::Axis(axis) | Orientation::Preferred(axis) = sample.orientation {
                     assert!((axis.norm() - 1.0).abs() < 1e-12, "{sample:?}");
                 }
             }
