@@ -4,8 +4,6 @@ use std::path::{Path, PathBuf};
 
 /// Largest length of a paragraph or of an item of a list \[words\].
 const WORDS_MAX: usize = 150;
-/// The results, whose conditions of measurement are long.
-const RESULTS_WORDS_MAX: usize = 187;
 
 /// First words and length of each paragraph and each item of a list. Tables, headings and code are none.
 fn paragraphs(page: &str) -> Vec<(String, usize)> {
@@ -45,15 +43,9 @@ fn no_paragraph_is_too_long() {
         .collect();
     assert!(pages.len() > 20, "{pages:?}");
     for page in pages {
-        let is_results = page.ends_with("docs/results.md");
-        let words_max = if is_results {
-            RESULTS_WORDS_MAX
-        } else {
-            WORDS_MAX
-        };
         for (begin, words) in paragraphs(&std::fs::read_to_string(&page).unwrap()) {
             assert!(
-                words <= words_max,
+                words <= WORDS_MAX,
                 "{}: {words} words: {begin}",
                 page.display()
             );
