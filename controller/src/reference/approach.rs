@@ -261,12 +261,13 @@ mod tests {
             let wanted = UnitQuaternion::from_scaled_axis(wanted_rad);
             let zero = Vector3::zeros();
             let axis = wanted * Vector3::z_axis();
-            for orientation in [Orientation::Free, Orientation::Axis(axis), Orientation::Full(wanted)] {
+            for orientation in [Orientation::Free, Orientation::Preferred(axis), Orientation::Axis(axis), Orientation::Full(wanted)] {
                 let reference = sample(zero, orientation);
                 let approach = Approach::plan(&limits, 7, (&tip, &zero), (&reference, &zero), PERIOD_NS);
                 let begin = approach.followed_sample(&reference, 7).orientation;
                 match begin {
-                    Orientation::Free => prop_assert_eq!(approach.duration_ns, 0),
+                    // A preference needs no approach.
+                    Orientation::Free | Orientation::Preferred(_) => prop_assert_eq!(approach.duration_ns, 0),
                     Orientation::Axis(axis) => {
                         prop_assert!((axis.into_inner() - tip.rotation * Vector3::z()).norm() < 1e-9);
                     }

@@ -67,8 +67,9 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::robot::{CABLES_MAX, RobotParameters, Shape};
-    use crate::safety::ramp_to_zero;
+    use crate::estimator::Slack;
+    use crate::robot::{CABLES_MAX, Configuration, Obstacle, Robot, RobotParameters, Shape};
+    use crate::safety::{Lag, ramp_to_zero};
     use nalgebra::Vector3;
 
     const PERIOD_S: f64 = 0.005;

@@ -338,9 +338,10 @@ fn orientations() -> impl Strategy<Value = Orientation> {
         (any::<bool>(), prop::array::uniform3(-1.0..1.0_f64)).prop_map(|(is_required, axis)| {
             let axis = Vector3::from(axis) + Vector3::new(0.0, 0.0, 1e-3);
             let axis = Unit::new_normalize(axis);
-            match is_required {
-                true => Orientation::Axis(axis),
-                false => Orientation::Preferred(axis),
+            if is_required {
+                Orientation::Axis(axis)
+            } else {
+                Orientation::Preferred(axis)
             }
         }),
         prop::array::uniform3(-3.0..3.0_f64).prop_map(|[a, b, c]| {

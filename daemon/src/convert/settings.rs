@@ -72,7 +72,7 @@ pub fn settings_from_wire(
 mod tests {
     use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
     use cdcr_controller::optimizer::VelocityRule;
-    use cdcr_controller::parameters::Parameter;
+    use cdcr_controller::parameters::UserParameter;
     use cdcr_shared_types::{SolverSettings, codes};
 
     /// Every choice as in a configuration and as in a message.
@@ -93,7 +93,7 @@ mod tests {
         for field in SolverSettings::LAYOUT.fields {
             let mut parameters = NmpcSettings::PARAMETERS.iter();
             let parameter = parameters.find(|parameter| parameter.name == field.name);
-            let unit = parameter.map_or("", Parameter::unit);
+            let unit = parameter.map_or("", UserParameter::unit);
             assert!(unit.is_empty() || unit == field.unit, "{}", field.name);
         }
     }

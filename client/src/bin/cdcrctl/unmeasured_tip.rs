@@ -102,7 +102,7 @@ pub(crate) fn warn_now(connection: &Connection) {
 
 /// What to say at the end of a motion, where a tip sensor is configured of which nothing was ever accepted.
 pub(crate) fn never(connection: &Connection) -> Option<String> {
-    let status = connection.status(STATUS).ok()?;
+    let status = connection.status(STATUS_TIMEOUT).ok()?;
     let unheard = Unheard::from_status(&status).filter(|unheard| *unheard == Unheard::Never)?;
     let refused = refused_text(&status).unwrap_or_default();
     Some(format!("{unheard}; {refused}"))

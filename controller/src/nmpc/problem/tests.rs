@@ -33,9 +33,10 @@ fn orientations() -> impl Strategy<Value = Orientation> {
             .prop_filter("a direction", |(_, axis)| axis.norm() > 0.1)
             .prop_map(|(is_required, axis)| {
                 let axis = Unit::new_normalize(axis);
-                match is_required {
-                    true => Orientation::Axis(axis),
-                    false => Orientation::Preferred(axis),
+                if is_required {
+                    Orientation::Axis(axis)
+                } else {
+                    Orientation::Preferred(axis)
                 }
             }),
         vector().prop_map(|turn| Orientation::Full(UnitQuaternion::from_scaled_axis(turn * 3.0))),

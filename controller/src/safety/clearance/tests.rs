@@ -2,6 +2,7 @@ use super::near::NEAR_MAX;
 use super::*;
 use crate::robot::{RobotParameters, SECTIONS_MAX, Shape};
 use crate::safety::limit;
+use crate::safety::stopping::StoppingPath;
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
