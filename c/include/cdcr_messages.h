@@ -189,7 +189,8 @@ typedef enum CdcrObstacleShape {
 typedef enum CdcrOrientationKind {
     CDCR_ORIENTATION_KIND_NONE = 0, /* none */
     CDCR_ORIENTATION_KIND_AXIS = 1, /* tip axis */
-    CDCR_ORIENTATION_KIND_FULL = 2 /* full orientation */
+    CDCR_ORIENTATION_KIND_FULL = 2, /* full orientation */
+    CDCR_ORIENTATION_KIND_PREFERRED = 3 /* preferred tip axis */
 } CdcrOrientationKind;
 
 typedef enum CdcrOutcome {
@@ -355,8 +356,8 @@ typedef struct CdcrReferencePoint {
     uint64_t time_ns;
     /* 8: Tip position in the base frame [m]. */
     double position_m[3];
-    /* 32: Meaning by orientation_kind: unused; tip axis as unit vector (x, y, z, 0); or unit quaternion (x, y, z, w)
-     * base → tip. */
+    /* 32: Meaning by orientation_kind: unused; tip axis, or preferred one, as unit vector (x, y, z, 0); or unit
+     * quaternion (x, y, z, w) base → tip. */
     double orientation[4];
     /* 64: CdcrOrientationKind. */
     uint32_t orientation_kind;
