@@ -154,12 +154,12 @@ fn speed_left(s: f64) -> f64 {
     s - s * s * s * (6.0 - s * (8.0 - 3.0 * s))
 }
 
-/// Rotation from the reference's orientation to the tip's, as axis times angle \[rad\]. Zero for a preferred axis, and for exactly opposite axes,
+/// Rotation from the reference's orientation to the tip's, as axis times angle \[rad\]. Zero for exactly opposite axes,
 /// which have no shortest rotation; the solver then finds one.
 pub(super) fn turn_rad(tip: &Pose, wanted: &Orientation) -> Vector3<f64> {
     let turn = match *wanted {
-        Orientation::Free | Orientation::Preferred(_) => None,
-        Orientation::Axis(axis) => {
+        Orientation::Free => None,
+        Orientation::Axis(axis) | Orientation::Preferred(axis) => {
             let tip_axis = Unit::new_normalize(tip.rotation * Vector3::z());
             UnitQuaternion::rotation_between_axis(&axis, &tip_axis)
         }
@@ -266,9 +266,8 @@ mod tests {
                 let approach = Approach::plan(&limits, 7, (&tip, &zero), (&reference, &zero), PERIOD_NS);
                 let begin = approach.followed_sample(&reference, 7).orientation;
                 match begin {
-                    // A preference needs no approach.
-                    Orientation::Free | Orientation::Preferred(_) => prop_assert_eq!(approach.duration_ns, 0),
-                    Orientation::Axis(axis) => {
+                    Orientation::Free => prop_assert_eq!(approach.duration_ns, 0),
+                    Orientation::Axis(axis) | Orientation::Preferred(axis) => {
                         prop_assert!((axis.into_inner() - tip.rotation * Vector3::z()).norm() < 1e-9);
                     }
                     Orientation::Full(rotation) => {
