@@ -119,6 +119,7 @@ def test_a_safe_distance_above_the_clearance_is_warned_of(daemon: Daemon) -> Non
     with daemon.connect() as connection:
         tip = connection.status()["tip_position_m"]
         connection.set_obstacles({1: cdcr.Obstacle.sphere([tip[0] + 0.1, tip[1], tip[2]], 0.02)})
+        eventually(lambda: connection.status()["clearance_m"] < 1.0)
         distance = connection.settings()["safe_distance_m"]
         try:
             with pytest.warns(UserWarning, match="is more than the present clearance of 0.0"):
