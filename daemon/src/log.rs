@@ -55,7 +55,7 @@ impl Log {
         set_logger(&Iceoryx2);
         set_log_level(LogLevel::Error);
         let panics = text.clone();
-        std::panic::set_hook(Box::new(move |panic| say(&panics, &words(panic))));
+        std::panic::set_hook(Box::new(move |panic| write_line(&panics, &words(panic))));
         Self {
             text,
             guard,
@@ -64,8 +64,8 @@ impl Log {
     }
 
     /// Writes a message to the standard error; [`Log::end`] waits for it.
-    pub fn say(&self, message: &str) {
-        say(&self.text, message);
+    pub fn write_line(&self, message: &str) {
+        write_line(&self.text, message);
     }
 
     /// Writes the waiting lines for at most 2 s (and as long for the journal), because there may be no
@@ -121,7 +121,7 @@ fn filter(rust_log: Option<&str>) -> (Targets, Option<ParseError>) {
     }
 }
 
-fn say(text: &Text, message: &str) {
+fn write_line(text: &Text, message: &str) {
     // Cannot fail: lost lines are counted.
     let _ = text
         .clone()

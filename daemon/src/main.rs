@@ -16,18 +16,18 @@ fn main() -> ExitCode {
     // Only the cycle thread accepts the signal: every other thread may be starved.
     take_signal(SIGUSR1, false);
     let log = Log::start();
-    let status = status_of(|| execute(cli), |message| log.say(message));
+    let status = status_of(|| execute(cli), |message| log.write_line(message));
     log.end();
     status
 }
 
 /// Runs `work` and reports its error. A panic has already been reported.
-fn status_of(work: impl FnOnce() -> Result<ExitCode>, say: impl FnOnce(&str)) -> ExitCode {
+fn status_of(work: impl FnOnce() -> Result<ExitCode>, report: impl FnOnce(&str)) -> ExitCode {
     // No state of the interrupted work is used afterwards.
     match catch_unwind(AssertUnwindSafe(work)) {
         Ok(Ok(status)) => status,
         Ok(Err(error)) => {
-            say(&format!("{error:#}"));
+            report(&format!("{error:#}"));
             ExitCause::from_error(&error).into()
         }
         Err(_) => ExitCause::Panicked.into(),
@@ -45,8 +45,8 @@ mod tests {
     /// The status as text, because it has no equality, and the reported messages.
     fn end_of(work: impl FnOnce() -> Result<ExitCode>) -> (String, Vec<String>) {
         let reported = RefCell::<Vec<String>>::default();
-        let say = |message: &str| RefCell::borrow_mut(&reported).push(message.to_owned());
-        let status = status_of(work, say);
+        let report = |message: &str| RefCell::borrow_mut(&reported).push(message.to_owned());
+        let status = status_of(work, report);
         (format!("{status:?}"), reported.into_inner())
     }
 

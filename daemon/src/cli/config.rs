@@ -159,9 +159,9 @@ fn with(
 /// Executes `cdcrd config …`.
 pub(super) fn execute(command: ConfigCommand) -> Result<()> {
     match command {
-        ConfigCommand::Default => say(DEFAULT_TEXT),
-        ConfigCommand::Schema => say(SCHEMA_TEXT),
-        ConfigCommand::Explain { key, source } => say(&explain(&key, &source.settings()?)?),
+        ConfigCommand::Default => print_text(DEFAULT_TEXT),
+        ConfigCommand::Schema => print_text(SCHEMA_TEXT),
+        ConfigCommand::Explain { key, source } => print_text(&explain(&key, &source.settings()?)?),
     }
 }
 
@@ -182,7 +182,7 @@ pub(super) fn check(source: &ConfigSource) -> Result<()> {
     let warnings = warnings.chain(core_warning(&validated.config.realtime));
     lines.extend(warnings.map(|warning| format!("warning: {warning}")));
     lines.push(String::new());
-    say(&lines.join("\n"))
+    print_text(&lines.join("\n"))
 }
 
 /// The refusal with which a daemon would end here, because its root folder is on a disk. Nothing is created: a missing folder
@@ -210,7 +210,7 @@ fn core_warning(realtime: &RealtimeConfig) -> Option<String> {
 }
 
 /// Prints a text. A closed pipe (`cdcrd config default | head`) is not an error.
-fn say(text: &str) -> Result<()> {
+fn print_text(text: &str) -> Result<()> {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),

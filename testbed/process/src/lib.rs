@@ -89,7 +89,7 @@ impl Process {
 
     /// Whether the program has ended by itself. If so, kills the rest of its process group.
     pub fn has_ended(&mut self) -> Result<bool> {
-        Ok(self.look()?.is_some())
+        Ok(self.poll()?.is_some())
     }
 
     /// Waits until the program ends by itself, and returns its standard output. Fails after `limit` or when
@@ -158,7 +158,7 @@ impl Process {
     }
 
     /// Exit status, if the program has ended. Kills the rest of its process group first.
-    fn look(&mut self) -> Result<Option<ExitStatus>> {
+    fn poll(&mut self) -> Result<Option<ExitStatus>> {
         if self.ended.is_none() {
             let process = Pid::from_child(&self.child);
             let peek = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
@@ -179,7 +179,7 @@ impl Process {
         let deadline = Instant::now() + limit;
         loop {
             check()?;
-            let status = self.look()?;
+            let status = self.poll()?;
             if status.is_some() || Instant::now() >= deadline {
                 return Ok(status);
             }
