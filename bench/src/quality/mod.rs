@@ -44,8 +44,7 @@ pub struct QualityOptions {
 impl QualityOptions {
     fn variants(&self, course: Course, iteration_us: f64) -> Vec<Variant> {
         let budgets = (self.budgets_us.iter()).map(|us| Varied::Budget(*us, iteration_us));
-        let swarms = self.swarms.iter();
-        let swarms = swarms.map(|(particles, iterations)| Varied::Swarm(*particles, *iterations));
+        let swarms = (self.swarms.iter()).map(|&(size, turns)| Varied::Swarm(size, turns));
         let horizons = self.horizons.iter().map(|steps| Varied::Horizon(*steps));
         let varied = budgets.chain(swarms).chain(horizons);
         let all = varied.flat_map(|varied| SolverKind::ALL.map(|solver| (varied, solver)));

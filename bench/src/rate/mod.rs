@@ -266,11 +266,13 @@ fn search(
 mod tests {
     use serde_json::{Value, json};
 
-    use super::*;
+    use super::{trial::Observed, *};
     use TrialOutcome::{Holds, Machine, NotFollowed, Own, Slow};
 
     pub(super) fn trial(period_ms: f64, outcome: TrialOutcome) -> Trial {
-        let held = json!({ "cycles": 4000, "response_us": { "p50": 30.0 }, "core_share": 0.2 });
+        let mut held = Observed::default().row();
+        held["response_us"] = json!({ "p50": 30.0, "p99": 40.0, "p999": null });
+        held["core_share"] = json!(0.2);
         let (remarks, row) = match outcome {
             Holds => ("", held),
             _ => ("too short", Value::Null),

@@ -150,7 +150,7 @@ fn did_not_follow(error: &anyhow::Error) -> bool {
 }
 
 #[derive(Debug, Default)]
-struct Observed {
+pub(super) struct Observed {
     duration_s: f64,
     counted: Statistics,
     /// Of the cycle thread and of the exchange thread.
@@ -244,7 +244,7 @@ impl Observed {
         (self.counted.deadline_misses + skipped) as f64 / due.max(1) as f64
     }
 
-    fn row(&self) -> Value {
+    pub(super) fn row(&self) -> Value {
         let (counted, causes) = (&self.counted, Causes(self.counted.causes));
         json!({
             "duration_s": self.duration_s,
