@@ -198,6 +198,8 @@ class OrientationKind(Code):
     """Tip axis."""
     FULL = 2
     """Full orientation."""
+    PREFERRED = 3
+    """Preferred tip axis."""
 
 
 class Outcome(Code):
