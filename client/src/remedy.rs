@@ -58,7 +58,8 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         }
         Outcome::PoseDiffers => ACCEPT_POSE,
         Outcome::Waits => {
-            "See cdcrctl status. While a source of obstacles is silent, restart that program, or remove all obstacles: cdcrctl obstacle clear. After a reset, wait until the robot \
+            "See cdcrctl status. While a source of obstacles is silent, restart that program, with the same ids, or remove its obstacles: cdcrctl obstacle remove ID (clear removes \
+             those of every client). After a reset, wait until the robot \
              rests; where it does not move, an obstacle or a limit is in the way: cdcrctl stop, move the obstacle or the robot, cdcrctl reset. Otherwise repeat the request; \
              where inputs are stale again, see cdcrctl incidents."
         }
@@ -152,7 +153,7 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
         }
         Reason::Suspended => "The machine was suspended: check the robot, then cdcrctl reset.",
         Reason::ObstacleSourceSilent => {
-            "Check that the program that sends the obstacles runs, then track again."
+            "Check that the program that sends the obstacles runs, or remove its obstacles (cdcrctl obstacle remove ID), then track again."
         }
         Reason::ReferenceTooFar => {
             "Bring the tip nearer first, with cdcrctl goto, or set motion.approach to \"smooth\"."

@@ -34,7 +34,7 @@ message! {
     /// A change to the set of obstacles; up to [`OBSTACLES_MAX`] at a time, accepted or rejected as a whole.
     ///
     /// Any client may send updates, and all clients share the ids. Within one message the last obstacle of an id takes
-    /// effect. Removing an unknown id has no effect. An upsert that would exceed [`OBSTACLES_MAX`] obstacles is
+    /// effect. Removing an unknown id removes nothing. An upsert that would exceed [`OBSTACLES_MAX`] obstacles is
     /// rejected. In the event of an accepted update, `detail` is the number of obstacles after it. An update without
     /// obstacles changes nothing and serves as a sign of life.
     pub struct ObstacleUpdate "cdcr.ObstacleUpdate.v1" {

@@ -218,7 +218,7 @@ table! {
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum SourceSilent {
-    /// The robot holds until the source sends again or a client clears the obstacles, which stay meanwhile.
+    /// The robot holds until the source sends again or its supervision ends; the obstacles stay meanwhile.
     #[default]
     Hold,
     /// The obstacles stay, and the robot continues.
@@ -232,10 +232,11 @@ table! {
         /// are not supervised, and obstacles expire after their lifetime. A source is a client that has sent an obstacle with a
         /// lifetime. With a timeout, an obstacle expires only when its source sends a message after the lifetime without
         /// renewing the obstacle. Supervision of a source ends when it removes its last
-        /// obstacle, that of all sources when a client clears the obstacles; the next obstacle with a lifetime restarts it.
+        /// obstacle, that of a silent one also when other clients have sent or removed each id that is left of it, that of all
+        /// sources when a client clears the obstacles; the next obstacle with a lifetime restarts it.
         source_timeout_ms: f64 = -1.0, in -1.0..=60_000.0;
-        /// Reaction to a silent source. "hold": the robot holds until the source sends again or a client clears the
-        /// obstacles. "keep": the robot continues. In both cases the obstacles stay at their last positions.
+        /// Reaction to a silent source. "hold": the robot holds until the source sends again or its supervision ends.
+        /// "keep": the robot continues. In both cases the obstacles stay at their last positions.
         source_silent: SourceSilent = SourceSilent::Hold;
     }
 }

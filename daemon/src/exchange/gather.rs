@@ -116,6 +116,7 @@ impl Exchange {
             self.events
                 .note(self.gather.number, kind, header, now_ns, result);
         }
+        self.obstacles.unwatch_relieved(now_ns);
     }
 
     /// Accepted measurements are many and only counted.

@@ -4,11 +4,12 @@
 //! obstacle whose lifetime is over expires while its source is alive. When the source is dead, the place of
 //! the obstacle is unknown, and it must not disappear.
 //!
-//! A source that has removed its last obstacle may end: none of its obstacles can disappear any more.
+//! A source that has removed its last obstacle may end: none of its obstacles can disappear any more. The watch
+//! over a silent one ends when others have taken over or removed all that it left.
 
-use cdcr_shared_types::ObstacleUpdate;
 use cdcr_shared_types::codes::ObstacleAction;
 use cdcr_shared_types::limits::OBSTACLES_MAX;
+use cdcr_shared_types::{Obstacle, ObstacleUpdate};
 
 use crate::config::{ObstaclesConfig, SourceSilent, ns};
 use crate::obstacles::{KnownObstacle, ObstacleSet};
@@ -32,6 +33,10 @@ struct Source {
     sent_ns: u64,
     /// Begin of its silence \[ns\], shifted by the time without gathers.
     silent_since_ns: u64,
+    /// The newest obstacle with a lifetime that it sent. It names the source when all others have expired, too.
+    newest_id: u32,
+    /// Since its newest message another client has replaced or removed one of its obstacles.
+    is_relieved: bool,
 }
 
 impl ObstacleSources {
@@ -53,22 +58,48 @@ impl ObstacleSources {
     /// have died meanwhile. Clearing the list ends the watch over all sources. Each is watched again from its
     /// next obstacle with a lifetime.
     pub(super) fn note_update(&mut self, update: &ObstacleUpdate, now_ns: u64) {
-        let heard = Source {
+        let heard = |newest_id| Source {
             sender: update.header.sender_id,
             sent_ns: update.header.sent_ns.min(now_ns),
             silent_since_ns: now_ns,
+            newest_id,
+            is_relieved: false,
         };
+        let newest_id = newest_id(update);
         if update.action == ObstacleAction::Clear.code() {
             self.sources.clear();
         } else if let Some(known) = self
             .sources
             .iter_mut()
-            .find(|known| known.sender == heard.sender)
+            .find(|known| known.sender == update.header.sender_id)
         {
-            *known = heard;
-        } else if self.begins_source(update) && self.sources.len() < SOURCES_MAX {
-            self.sources.push(heard);
+            *known = heard(newest_id.unwrap_or(known.newest_id));
+        } else if let Some(id) = newest_id.filter(|_| self.timeout_ns > 0)
+            && self.sources.len() < SOURCES_MAX
+        {
+            self.sources.push(heard(id));
         }
+    }
+
+    /// Registers whose obstacles `update`, which was accepted, replaces or removes. `before` is the list before it.
+    pub(super) fn note_relief(&mut self, update: &ObstacleUpdate, before: &ObstacleSet) {
+        let names = |id: u32| given(update).any(|obstacle| obstacle.id == id);
+        let sender = update.header.sender_id;
+        for source in (self.sources.iter_mut()).filter(|source| source.sender != sender) {
+            let is_own = |known: &KnownObstacle| known.source == source.sender && names(known.id);
+            source.is_relieved |= names(source.newest_id) || before.iter().any(is_own);
+        }
+    }
+
+    /// Ends the watch over each silent source whose obstacles other clients have replaced or removed, so that
+    /// none of those in `known` is its own.
+    pub(super) fn unwatch_relieved(&mut self, known: &ObstacleSet, now_ns: u64) {
+        let timeout_ns = self.timeout_ns;
+        self.sources.retain(|source| {
+            let is_silent = now_ns.saturating_sub(source.silent_since_ns) > timeout_ns;
+            let is_left = |known: &KnownObstacle| known.source == source.sender;
+            !(source.is_relieved && is_silent) || known.iter().any(is_left)
+        });
     }
 
     /// Ends the watch over `sender`, which has removed obstacles, if none of those left in `known` is its
@@ -126,16 +157,24 @@ impl ObstacleSources {
     }
 
     fn begins_source(&self, update: &ObstacleUpdate) -> bool {
-        let given = update.obstacles.iter().take(update.count as usize);
-        self.timeout_ns > 0
-            && update.action == ObstacleAction::Upsert.code()
-            && given.into_iter().any(|obstacle| obstacle.lifetime_ns > 0)
+        self.timeout_ns > 0 && newest_id(update).is_some()
     }
+}
+
+/// The last obstacle with a lifetime that `update` inserts or replaces.
+fn newest_id(update: &ObstacleUpdate) -> Option<u32> {
+    let is_upsert = update.action == ObstacleAction::Upsert.code();
+    let with_lifetime = given(update).filter(|obstacle| is_upsert && obstacle.lifetime_ns > 0);
+    with_lifetime.last().map(|obstacle| obstacle.id)
+}
+
+fn given(update: &ObstacleUpdate) -> impl Iterator<Item = &Obstacle> {
+    update.obstacles.iter().take(update.count as usize)
 }
 
 #[cfg(test)]
 mod tests {
-    use cdcr_shared_types::{Header, Obstacle};
+    use cdcr_shared_types::Header;
 
     use super::*;
     use crate::convert;

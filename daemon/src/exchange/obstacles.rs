@@ -91,6 +91,7 @@ impl Obstacles {
             self.sources.note_update(update, gather_ns);
         }
         let updated = updated?;
+        self.sources.note_relief(update, &self.known);
         // Before the sender can learn that it was accepted.
         self.kept.update(&self.known, &updated);
         self.known = updated;
@@ -102,6 +103,11 @@ impl Obstacles {
             self.sources.unwatch_if_empty(sender, &self.known, now_ns);
         }
         Ok(self.known.count() as u32)
+    }
+
+    /// Ends the watch over each silent source whose obstacles other clients have taken over or removed.
+    pub(super) fn unwatch_relieved(&mut self, now_ns: u64) {
+        self.sources.unwatch_relieved(&self.known, now_ns);
     }
 
     /// Writes the obstacles for the cycles until the next gather.

@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use anyhow::{anyhow, bail};
 use cdcr_client::{
-    Connection, LinkError, ObstacleSender, TelemetryStream, check_place, monotonic_ns, remedy,
+    Connection, LinkError, ObstacleSender, TelemetryStream, check_place, counted, monotonic_ns,
+    remedy,
 };
 use cdcr_controller::robot::{OBSTACLE_COMPONENT, OBSTACLE_RADIUS_M};
 use cdcr_shared_types::codes::{EventKind, ObstacleShape, Outcome};
@@ -46,7 +47,12 @@ pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<
             change(&connection, |sender| sender.remove(ids))?;
             check_were_known(ids, &before)
         }
-        ObstacleAction::Clear => change(&connection, ObstacleSender::clear),
+        ObstacleAction::Clear => {
+            let before = known(&connection, TIMEOUT)?;
+            let done = change(&connection, ObstacleSender::clear)?;
+            writeln!(std::io::stdout(), "{}", cleared(&before))?;
+            Ok(done)
+        }
         ObstacleAction::File(options) => feed::file(&connection, &options.path, options.far),
         ObstacleAction::Stdin(options) => feed::stdin(&connection, options.far),
     }
@@ -117,6 +123,16 @@ fn check_were_known(ids: &[u32], before: &[Obstacle]) -> anyhow::Result<Done> {
         );
     }
     Ok(Done::Good)
+}
+
+/// What a clear has removed: this command has added none of it.
+fn cleared(before: &[Obstacle]) -> String {
+    let ids: Vec<_> = before.iter().map(|known| known.id.to_string()).collect();
+    let count = counted(ids.len() as u64, "obstacle");
+    match ids.as_slice() {
+        [] => "no obstacle was known before".to_owned(),
+        ids => format!("removed: {count} of other clients, {}", ids.join(", ")),
+    }
 }
 
 fn list(connection: &Connection, format: Format) -> anyhow::Result<Done> {
@@ -307,6 +323,11 @@ mod tests {
         assert!(check_were_known(&[2, 1, 2], &before).is_ok());
         let error = check_were_known(&[7, 1, 9, 7], &before).expect_err("unknown");
         assert!(error.to_string().contains("id 7, 9 was"), "{error}");
+        assert_eq!(
+            cleared(&before),
+            "removed: 2 obstacles of other clients, 1, 2"
+        );
+        assert_eq!(cleared(&[]), "no obstacle was known before");
     }
 
     #[test]

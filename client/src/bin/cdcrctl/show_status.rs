@@ -411,7 +411,8 @@ fn obstacles(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Result
     writeln!(
         out,
         "            a source of them, client {:016x}, has been silent for {silent_s:.1} s (obstacles.source_timeout_ms): its obstacles remain \
-         at their last positions. Restart it; it counts as a new client, so it must first clear the list (cdcrctl obstacle clear)",
+         at their last positions. Restart it: the daemon stops waiting when the same ids are sent again. Or remove each of its obstacles (cdcrctl obstacle list, \
+         cdcrctl obstacle remove ID); cdcrctl obstacle clear removes those of every client",
         status.silent_obstacle_source
     )
 }

@@ -106,6 +106,65 @@ fn a_source_of_obstacles_that_removes_them_and_ends_holds_nobody_up() {
     assert_eq!(inputs.obstacles.count(), 1);
 }
 
+/// The robot goes on when others have taken over or removed each obstacle that a dead source left.
+#[test]
+fn a_source_that_died_is_awaited_until_others_have_taken_over_or_removed_all_that_it_had() {
+    // A source with obstacles 0 and 1, after 300 ms of silence.
+    let dead = || {
+        let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
+        rig.send_update(4, ObstacleAction::Upsert, &[50, 50]);
+        rig.gather();
+        rig.gather_for(300);
+        assert!(rig.gather().obstacle_source_silent);
+        rig
+    };
+    let is_silent_after = |rig: &mut Rig, action: ObstacleAction, lifetimes_ms: &[u64]| {
+        rig.send_update(5, action, lifetimes_ms);
+        rig.gather().obstacle_source_silent
+    };
+    // The same program, started again: its client is another one, and is watched now.
+    let mut rig = dead();
+    assert!(is_silent_after(&mut rig, ObstacleAction::Upsert, &[50]));
+    assert!(!is_silent_after(&mut rig, ObstacleAction::Upsert, &[50; 2]));
+    rig.gather_for(300);
+    assert!(rig.gather().obstacle_source_silent, "it died, too");
+    // An operator removes one by one.
+    let mut rig = dead();
+    assert!(is_silent_after(&mut rig, ObstacleAction::Remove, &[0]));
+    assert!(!is_silent_after(&mut rig, ObstacleAction::Remove, &[0, 0]));
+    assert_eq!(rig.gather().obstacles.count(), 0);
+    rig.gather_for(300);
+    assert!(!rig.gather().obstacle_source_silent);
+    // Started again before anybody noticed.
+    let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
+    rig.send_update(4, ObstacleAction::Upsert, &[50]);
+    rig.gather();
+    for _ in 0..60 {
+        assert!(!is_silent_after(&mut rig, ObstacleAction::Upsert, &[50]));
+    }
+}
+
+/// What others did while a source was alive does not end the watch over it, and what it let expire still names it.
+#[test]
+fn a_source_that_dies_without_an_obstacle_is_awaited_until_another_sends_or_removes_its_newest() {
+    for action in [ObstacleAction::Upsert, ObstacleAction::Remove] {
+        let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
+        rig.send_update(4, ObstacleAction::Upsert, &[50, 50]);
+        rig.gather();
+        rig.send_update(5, ObstacleAction::Remove, &[0, 0]);
+        rig.gather();
+        rig.gather_for(60);
+        rig.send_update(4, ObstacleAction::Upsert, &[]);
+        assert_eq!(rig.gather().obstacles.count(), 0);
+        rig.gather_for(300);
+        assert!(rig.gather().obstacle_source_silent, "{action:?}");
+        rig.send_update(5, action, &[]);
+        assert!(rig.gather().obstacle_source_silent, "{action:?}");
+        rig.send_update(5, action, &[0, 0]);
+        assert!(!rig.gather().obstacle_source_silent, "{action:?}");
+    }
+}
+
 #[test]
 fn a_source_whose_own_old_obstacles_take_all_the_room_is_heard() {
     let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\nsource_silent = \"keep\"\n");

@@ -312,6 +312,47 @@ fn behind_a_driver_a_source_that_died_holds_the_robot_without_any_setting() {
     assert!(held.release_ns >= seen.measured_ns + 500_000_000);
 }
 
+/// The program of a camera dies beside an obstacle that an operator declared, and is started again. The robot
+/// may go on, and the operator's obstacle stays.
+#[test]
+fn behind_a_driver_a_source_that_starts_again_with_its_ids_ends_the_hold_and_fixed_obstacles_stay()
+{
+    let daemon = Daemon::start(
+        "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\ncommand_valid_ms = 1000.0\n\
+         [motion]\nhome_rate_rad_s = 0.02\n[cycle]\nmiss_limit = 1000000\n",
+    );
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+    robot.until_held(&mut trail);
+    let fixed = connection.obstacle_sender().unwrap();
+    send(&mut trail, &fixed, &[ball(2, [0.5, -0.5, 0.3])]);
+    for (takes_over, known) in [(true, 2), (false, 1)] {
+        ask_for(&connection, RequestKind::Home);
+        trail.until_while("homing", || robot.turn(), is(Mode::Homing));
+        let other = daemon.connect();
+        let camera = other.obstacle_sender().unwrap();
+        send_alive(&mut trail, &camera, 300_000_000);
+        let (_, held) = trail.until_while("holding", || robot.turn(), is(Mode::Holding));
+        assert_eq!(held.reason, Reason::ObstacleSourceSilent.code());
+        assert_eq!(refused(&connection, RequestKind::Home), Outcome::Waits);
+        let again = daemon.connect();
+        let again = again.obstacle_sender().unwrap();
+        let mut live = || {
+            robot.turn();
+            if takes_over {
+                again.upsert(&[ball(1, [0.5, 0.5, 0.3])]).unwrap();
+            } else {
+                again.remove(&[1]).unwrap();
+            }
+        };
+        let is_taken = |record: &Telemetry| record.obstacle_count == known;
+        let (_, now) = trail.until_while("it is another's", &mut live, is_taken);
+        assert!(now.obstacles.iter().any(|obstacle| obstacle.id == 2));
+        wait_status(&connection, |status| status.silent_obstacle_source == 0);
+    }
+    ask_for(&connection, RequestKind::Home);
+}
+
 /// A record of the newest daemon with so many obstacles, and these.
 fn record_with(daemon: &Daemon, count: u32) -> (Telemetry, Vec<Obstacle>) {
     let mut telemetry = daemon.connect().telemetry().unwrap();

@@ -38,7 +38,7 @@ pub(crate) enum ObstacleAction {
             add = ArgValueCandidates::new(complete::obstacle_ids))]
         ids: Vec<u32>,
     },
-    /// Remove all obstacles
+    /// Remove all obstacles, those of every client
     #[command(after_help = "Example:\n  cdcrctl obstacle clear")]
     Clear,
     /// Play a scene from a file: one JSON object per line and change, or an array as printed by obstacle list

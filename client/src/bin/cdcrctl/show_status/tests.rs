@@ -113,7 +113,7 @@ fn a_silent_source_of_obstacles_is_shown_with_the_time_since() {
     status.silent_since_ns = 10_000_000_000;
     let line = "\n            a source of them, client 00000000000000ab, has been silent for 2.5 s";
     assert!(shown(&status).contains(line), "{}", shown(&status));
-    // After cdcrctl obstacle clear the robot still holds for this reason, which is over.
+    // After cdcrctl obstacle remove the robot still holds for this reason, which is over.
     (status.mode, status.reason) = (Mode::Holding.code(), Reason::ObstacleSourceSilent.code());
     let over = "(obstacles.source_timeout_ms); not any more: track again)";
     assert!(!shown(&status).contains(over), "{}", shown(&status));
