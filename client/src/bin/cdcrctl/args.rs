@@ -243,7 +243,8 @@ pub(crate) enum Task {
     /// Feed references and obstacles of a recording to the daemon, or recompute its cycles and compare them with the recording
     ///
     /// The tip first moves smoothly from its position to the first reference. References and obstacles keep their recorded times,
-    /// scaled by --speed. At the end the daemon holds, and the replayed obstacles are removed.
+    /// scaled by --speed. At the end the daemon holds, and the replayed obstacles are removed. Obstacles of others are neither
+    /// replaced nor removed: where an id is in use, nothing is sent.
     #[command(
         after_help = "Examples:\n  cdcrctl replay spiral.mcap --speed 0.5     needs a daemon of the same robot\n  cdcrctl replay --verify spiral.mcap\n\n\
         --verify and --with need no daemon. --verify saves the first cycle that differs, with its inputs, as NAME-cycle-N.mcap, which the same \

@@ -38,7 +38,7 @@ pub(super) fn record_beside(
     };
     track(&connection, &curve);
     recorder.signal(Signal::INT);
-    assert_output(&recorder.output(), 0, &["run.mcap", "1 obstacle update,"]);
+    assert_output(&recorder.output(), 0, &["run.mcap", "obstacle update"]);
     daemon.place().folder().join("run.mcap")
 }
 
@@ -99,6 +99,74 @@ fn an_interrupted_replay_ends_in_hold() {
     wait_record(&mut telemetry, |record| {
         record.obstacle_count == 0 && record.mode == Mode::Holding.code()
     });
+}
+
+/// What the daemon knows: ids, and the second coordinates of the obstacles \[m\].
+fn live(daemon: &Daemon) -> Vec<(u64, f64)> {
+    let list = daemon.place().json("obstacle list");
+    let known = list.as_array().unwrap().iter();
+    let told = known.map(|it| (it["id"].as_u64(), it["start_m"][1].as_f64()));
+    told.map(|(id, y)| (id.unwrap(), y.unwrap())).collect()
+}
+
+#[test]
+fn a_replay_whose_obstacle_has_an_id_in_use_is_refused_or_leaves_it_out() {
+    let (daemon, _) = recorded();
+    let place = daemon.place();
+    for id in [7, 8] {
+        let add = format!("cdcrctl obstacle add --id {id} --at 0.4,0.3,0.5 --radius 0.03");
+        place.checked(&add, 0, &[]);
+    }
+    let remedy = ["ids are in use: 7.", "obstacle remove 7)", "--keep-live"];
+    place.checked("cdcrctl replay run.mcap", 1, &remedy);
+    let declared = [(7, 0.3), (8, 0.3)];
+    assert_eq!(live(&daemon), declared);
+    let replay = "cdcrctl replay run.mcap --speed 2 --keep-live";
+    place.checked(replay, 0, &["the daemon holds"]);
+    assert_eq!(live(&daemon), declared);
+}
+
+#[test]
+fn a_replay_removes_no_obstacle_of_others() {
+    let daemon = Daemon::start(STALL_TOLERANT);
+    record_beside(&daemon, 7, [0.4, 0.0, 0.5], |connection| {
+        let mut telemetry = connection.telemetry().unwrap();
+        let sender = connection.obstacle_sender().unwrap();
+        let header = sender.clear().unwrap();
+        let answer = telemetry.outcome_on(EventKind::Obstacles, &header, TIMEOUT);
+        answer.unwrap();
+        sender.upsert(&[ball(8, [0.4, 0.0, 0.5])]).unwrap();
+        wait_record(&mut telemetry, |record| record.obstacle_count == 1);
+    });
+    let place = daemon.place();
+    let cleared = "removed: 1 obstacle of other clients, 8";
+    place.checked("cdcrctl obstacle clear", 0, &["0 known", cleared]);
+    place.checked("cdcrctl home --wait", 0, &[]);
+    place.checked(
+        "cdcrctl obstacle add --id 1 --at 0.4,0.3,0.5 --radius 0.03",
+        0,
+        &["1 known"],
+    );
+    // The recording has a clear.
+    place.checked(
+        "cdcrctl replay run.mcap --speed 2",
+        0,
+        &["the daemon holds"],
+    );
+    assert_eq!(live(&daemon), [(1, 0.3)]);
+    // Another client declares an obstacle with an id of the replay meanwhile.
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let mut player = place.start("cdcrctl replay run.mcap --speed 0.1");
+    wait_record(&mut telemetry, |record| record.obstacle_count == 2);
+    let sender = connection.obstacle_sender().unwrap();
+    let header = sender.upsert(&[ball(8, [0.4, -0.3, 0.5])]).unwrap();
+    let answer = telemetry.outcome_on(EventKind::Obstacles, &header, TIMEOUT);
+    answer.unwrap();
+    player.signal(Signal::INT);
+    assert_eq!(player.output().status.code(), Some(130));
+    wait_record(&mut telemetry, |record| record.mode == Mode::Holding.code());
+    assert_eq!(live(&daemon), [(1, 0.3), (8, -0.3)]);
 }
 
 #[test]

@@ -74,6 +74,9 @@ pub(crate) struct ReplayOptions {
     /// Speed factor of the replay, 0.1 to 4
     #[arg(long, value_name = "TIMES", value_parser = value::number_in(0.1..=4.0), default_value = "1", conflicts_with_all = ["verify", "with"], allow_negative_numbers = true)]
     pub(crate) speed: f64,
+    /// Leave out the recorded obstacles whose ids are in use, instead of refusing the replay
+    #[arg(long, conflicts_with_all = ["verify", "with"])]
+    pub(crate) keep_live: bool,
     /// Output format of --verify and --with
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,

@@ -1,20 +1,21 @@
 //! Feeds the references and obstacles of a recording to a running daemon.
 
+mod ids;
 mod source;
 
-use std::collections::BTreeSet;
 use std::io::{self, Write};
 use std::thread;
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use cdcr_client::{
-    Connection, Lease, ObstacleSender, ReferenceFeed, TelemetryStream, counted, events,
+    Connection, Lease, ObstacleSender, ReferenceFeed, Stream, TelemetryStream, counted, events,
     monotonic_ns,
 };
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interpolation, ObstacleAction, Outcome, RequestKind,
 };
+use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{ObstacleUpdate, ReferenceChunk, Telemetry};
 
 use super::file::Recording;
@@ -24,20 +25,19 @@ use crate::args::{ReplayOptions, Target};
 use crate::bar::Bar;
 use crate::feed::check_mode;
 use crate::interrupt::Interrupt;
+use crate::known_obstacles::known;
 use crate::tip_error::TipError;
-use source::{Source, Step};
+use ids::{Ids, listed};
+use source::{READ_AHEAD_NS, Source, Step};
 
 /// Time by which references are sent early: the tolerated lateness of this program \[ns\].
 const LEAD_NS: u64 = 300_000_000;
-/// Time by which the recording is read ahead \[ns\]: the outcome of a message follows the message.
-const READ_AHEAD_NS: u64 = 1_000_000_000;
 const TURN: Duration = Duration::from_millis(2);
 /// Timeout for a status or a record.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
 pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Done> {
     let name = options.file.display().to_string();
-    let interrupt = Interrupt::catch()?;
     let connection = target.connect()?;
     let mut source = Source::new(Recording::open(&options.file)?.unseen());
     source.read_to(READ_AHEAD_NS)?;
@@ -49,7 +49,25 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
         "{name} is of another robot than the daemon: sections or limits differ"
     );
     check_mode(&status)?;
-    let mut player = Player::new(&connection, options.speed)?;
+    let recorded = Source::new(Recording::open(&options.file)?).obstacle_ids()?;
+    let others = connection.obstacle_updates()?;
+    let ids = Ids::new(recorded, &known(&connection, TIMEOUT)?);
+    let in_use = ids.in_use();
+    ensure!(
+        in_use.is_empty() || options.keep_live,
+        "{name} contains obstacles whose ids are in use: {}. Nothing was sent.\nRemove those that the daemon knows (cdcrctl obstacle remove {}), or keep them and \
+         leave out those of the recording: --keep-live",
+        listed(&in_use, ", "),
+        listed(&in_use, " ")
+    );
+    if !in_use.is_empty() {
+        let in_use = listed(&in_use, ", ");
+        tell!(
+            "note: obstacles of the recording are left out, because their ids are in use: {in_use}"
+        );
+    }
+    let interrupt = Interrupt::catch()?;
+    let mut player = Player::new(&connection, options.speed, ids, others)?;
     let played = player.play(&mut source, &name, &interrupt);
     // Independent of the result; the first error is the relevant one.
     let held = connection.request(RequestKind::Hold);
@@ -61,7 +79,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
         chunks, updates, ..
     } = player;
     ensure!(
-        chunks + updates > 0 || done == Done::Interrupted,
+        chunks + updates > 0 || done == Done::Interrupted || !in_use.is_empty(),
         "{name} contains no obstacles and no complete reference"
     );
     let speed = match options.speed {
@@ -96,7 +114,9 @@ struct Player<'c> {
     has_reference: bool,
     /// Whether the recorded daemon tracks.
     wants_tracking: bool,
-    ids: BTreeSet<u32>,
+    ids: Ids,
+    /// Obstacle updates of all clients.
+    others: Stream<ObstacleUpdate>,
     chunks: u64,
     updates: u64,
     heard_ns: u64,
@@ -104,7 +124,12 @@ struct Player<'c> {
 }
 
 impl<'c> Player<'c> {
-    fn new(connection: &'c Connection, speed: f64) -> anyhow::Result<Self> {
+    fn new(
+        connection: &'c Connection,
+        speed: f64,
+        ids: Ids,
+        others: Stream<ObstacleUpdate>,
+    ) -> anyhow::Result<Self> {
         let telemetry = connection.telemetry()?;
         let lease = connection.acquire_lease()?;
         let now_ns = monotonic_ns();
@@ -120,7 +145,8 @@ impl<'c> Player<'c> {
             beginning: None,
             has_reference: false,
             wants_tracking: false,
-            ids: BTreeSet::new(),
+            ids,
+            others,
             chunks: 0,
             updates: 0,
             heard_ns: now_ns,
@@ -216,27 +242,52 @@ impl<'c> Player<'c> {
             solid.lifetime_ns = (solid.lifetime_ns as f64 / self.speed).ceil() as u64;
             solid.velocity_m_s = solid.velocity_m_s.map(|m_s| m_s * self.speed);
         }
-        let ids: Vec<_> = solids.iter().map(|solid| solid.id).collect();
-        match ObstacleAction::try_from(update.action).unwrap_or_default() {
+        self.see_others()?;
+        let ids = match ObstacleAction::try_from(update.action).unwrap_or_default() {
             ObstacleAction::Upsert => {
+                self.ids.add(&mut solids);
+                // Without obstacles it is a sign of life.
                 self.obstacles.upsert_anywhere(&solids)?;
-                self.ids.extend(ids);
+                self.updates += 1;
+                return Ok(());
             }
-            ObstacleAction::Remove => {
-                self.obstacles.remove(&ids)?;
-            }
-            ObstacleAction::Clear => {
-                self.obstacles.clear()?;
-            }
+            ObstacleAction::Remove => self.ids.remove(solids.iter().map(|solid| solid.id)),
+            ObstacleAction::Clear => self.ids.take_all(),
+        };
+        for ids in ids.chunks(OBSTACLES_MAX) {
+            self.obstacles.remove(ids)?;
+            self.updates += 1;
         }
-        self.updates += 1;
         Ok(())
     }
 
-    /// Removes the obstacles that were sent.
+    /// Registers the obstacles that other clients have sent meanwhile.
+    fn see_others(&mut self) -> anyhow::Result<()> {
+        while let Some(update) = self.others.try_next()? {
+            if update.header.sender_id == self.connection.sender_id() {
+                continue;
+            }
+            let taken = self.ids.see(&update);
+            if !taken.is_empty() {
+                let taken = listed(&taken, ", ");
+                tell!(
+                    "note: another client has sent these obstacles; those of the recording are left out from now on: {taken}"
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes the obstacles that were sent and are still those of this replay.
     fn take_obstacles_away(&mut self) -> anyhow::Result<()> {
-        let ids: Vec<_> = self.ids.iter().copied().collect();
-        for ids in ids.chunks(cdcr_shared_types::limits::OBSTACLES_MAX) {
+        if self.updates == 0 {
+            return Ok(());
+        }
+        self.see_others()?;
+        let ids = self.ids.take_all();
+        // Removing none ends the daemon's watch over this client, too.
+        let none = ids.is_empty().then_some(&[][..]);
+        for ids in ids.chunks(OBSTACLES_MAX).chain(none) {
             let header = self.obstacles.remove(ids)?;
             self.telemetry
                 .outcome_on(EventKind::Obstacles, &header, TIMEOUT)?;
@@ -254,6 +305,7 @@ impl<'c> Player<'c> {
     }
 
     fn read_messages(&mut self) -> anyhow::Result<()> {
+        self.see_others()?;
         while let Some(record) = self.telemetry.try_next()? {
             self.heard_ns = monotonic_ns();
             self.error.take(&record);

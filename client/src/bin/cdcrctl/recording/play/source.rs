@@ -1,11 +1,14 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use cdcr_client::{events, obstacles};
-use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason};
+use cdcr_shared_types::codes::{EventKind, Mode, ObstacleAction, Outcome, Reason};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{ObstacleUpdate, ReferenceChunk, Telemetry};
 
 use crate::recording::file::{Recorded, Recording};
+
+/// Time by which the recording is read ahead \[ns\]: the outcome of a message follows the message.
+pub(super) const READ_AHEAD_NS: u64 = 1_000_000_000;
 
 /// A replayed step, with the time of the first cycle where the step contains times \[ns\].
 #[derive(Debug)]
@@ -56,6 +59,30 @@ impl Source {
     /// Fingerprint in the first cycle.
     pub(super) fn robot_fingerprint(&self) -> Option<u64> {
         self.first.map(|first| first.fingerprint)
+    }
+
+    /// Ids of all obstacles that the steps insert, from here to the end.
+    pub(super) fn obstacle_ids(mut self) -> anyhow::Result<BTreeSet<u32>> {
+        let mut ids = BTreeSet::new();
+        let mut since_ns = 0;
+        while !self.is_over(since_ns) {
+            // A message may follow the last cycle.
+            since_ns = if self.is_ended {
+                u64::MAX / 2
+            } else {
+                self.read_ns
+            };
+            self.read_to(since_ns + READ_AHEAD_NS)?;
+            while let Some(step) = self.due(since_ns, 0) {
+                if let Step::Obstacles(update, _) = step
+                    && update.action == ObstacleAction::Upsert.code()
+                {
+                    let used = update.obstacles.iter().take(update.count as usize);
+                    ids.extend(used.map(|obstacle| obstacle.id));
+                }
+            }
+        }
+        Ok(ids)
     }
 
     /// Reads up to the first cycle at `since_ns` after the first one.
