@@ -7,6 +7,7 @@
 # FILE gets the tables as JSON, like docs/results/realtime.json.
 # PROFILE=debug uses the programs of `cargo build` to test the script; its numbers are meaningless.
 set -euo pipefail
+tables=$(realpath -m "${3:-/dev/null}")
 cd "$(dirname "$0")/.."
 seconds=${1:-10}
 rounds=${2:-3}
@@ -80,7 +81,7 @@ for round in $(seq "$rounds"); do
 done
 
 names=$(printf '%s\n' "${steps[@]}" | cut -d'|' -f1)
-python3 - "$folder" "$rounds" "$names" "${3:-/dev/null}" <<'P'
+python3 - "$folder" "$rounds" "$names" "$tables" <<'P'
 import json, statistics, sys
 folder, rounds, names, file = sys.argv[1], int(sys.argv[2]), sys.argv[3].splitlines(), sys.argv[4]
 heads = ["step", "wake-up p50", "wake-up p99", "response p99", "response max", "misses", "skipped"]

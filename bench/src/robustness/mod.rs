@@ -22,7 +22,7 @@ use crate::chart::{Curve, Panel, Scale};
 use crate::dataset::{Dataset, number};
 use crate::interrupt;
 use crate::progress::Progress;
-use scenario::{Control, Scenario};
+use scenario::{CONTROLS, Control, Scenario};
 
 const DECLARATION: &str = include_str!("robustness.toml");
 
@@ -265,6 +265,14 @@ fn comparison(rows: &[Value]) -> Vec<Value> {
     for row in rows.iter().filter(|row| row["interface"] == "position") {
         if row["controller"] == "full" {
             robots.push(row.clone());
+            // A control that is not for this robot has no error.
+            if let Some(robot) = robots.last_mut().and_then(Value::as_object_mut) {
+                robot.extend(
+                    CONTROLS
+                        .iter()
+                        .map(|control| (control.name.into(), Value::Null)),
+                );
+            }
         }
         if let (Some(robot), Some(controller)) = (robots.last_mut(), row["controller"].as_str()) {
             robot[controller] = row["mean_error_mm"].clone();

@@ -208,11 +208,11 @@ fn reference_orientation(record: &Telemetry) -> [f64; 4] {
     let reference = &record.reference;
     match OrientationKind::try_from(reference.orientation_kind) {
         Ok(OrientationKind::Full) => reference.orientation,
-        Ok(OrientationKind::Axis) => {
+        Ok(OrientationKind::Axis | OrientationKind::Preferred) => {
             let [x, y, z, _] = reference.orientation;
             super::scene::upright_to([x, y, z].into())
         }
-        Ok(OrientationKind::None | OrientationKind::Preferred) | Err(_) => [0.0, 0.0, 0.0, 1.0],
+        Ok(OrientationKind::None) | Err(_) => [0.0, 0.0, 0.0, 1.0],
     }
 }
 

@@ -37,7 +37,7 @@ pub enum Orientation {
     /// The tip axis has this direction, a unit vector (x, y, z) in the base frame.
     Axis([f64; 3]),
     /// The daemon prefers this direction of the tip axis, a unit vector, where the position leaves a choice: it chooses a shape
-    /// and moves the tip by less than a millimetre.
+    /// and hardly moves the tip.
     Preferred([f64; 3]),
     /// The full orientation: unit quaternion (x, y, z, w) base → tip.
     Full([f64; 4]),

@@ -6,7 +6,7 @@
 //!
 //! The cost (Eq. 5) is a sum over the steps:
 //! - the weighted squared error of the tip's position, with an extra weight ω on the last step;
-//! - where the reference contains an orientation, the same for the orientation error beyond a tolerance;
+//! - where the reference contains an orientation, the same for the orientation error beyond a tolerance; less for a preferred axis;
 //! - optional weights on the controls and on their change;
 //! - penalties on clearances below the safe distance, and on bends, cable strokes and cable speeds beyond
 //!   their limits.
@@ -48,7 +48,7 @@ mod ways;
 
 pub use crate::reference::HORIZON_STEPS_MAX;
 pub use horizon::Horizon;
-pub use pose_error::PREFERRED_LEVER_M;
+pub use pose_error::PREFERRED_LEVER_SHARE;
 pub use report::{Constraint, SolveReport, SolveStatus};
 pub use settings::{Coordinates, NmpcSettings, RateWeight, SettingsError, SolverKind, ranges};
 pub use unintended::{budget_warning, rate_weight_warning, safe_distance_warning};

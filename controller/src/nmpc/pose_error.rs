@@ -15,18 +15,20 @@ pub(super) struct PoseWeights {
     pub orientation: f64,
     /// Orientation error without cost \[rad\].
     pub tolerance_rad: f64,
+    /// See [`PREFERRED_LEVER_SHARE`] \[m\].
+    pub preferred_lever_m: f64,
 }
 
-/// An angle between the tip axis and a preferred one costs as much as the distance that this lever turned by it makes
-/// \[m\], and at most as much as between the tip axis and a required one. It decides between shapes that reach the
-/// position, and beside millimetres of distance it does not count. It is 0 where the weight of orientations is 0.
-pub const PREFERRED_LEVER_M: f64 = 0.01;
+/// An angle between the tip axis and a preferred one costs as much as the distance that a lever of this share of the reach,
+/// turned by it, makes: 10 mm of 0.9 m. The weight is at most that of a required axis, without its tolerance. So it decides
+/// between shapes that reach the position, and hardly moves the tip.
+pub const PREFERRED_LEVER_SHARE: f64 = 1.0 / 90.0;
 
 impl PoseWeights {
     /// The weights with a preferred axis in place of a required one.
     #[inline(always)]
     fn of_preference(&self) -> Self {
-        let preference = PREFERRED_LEVER_M * PREFERRED_LEVER_M * self.position;
+        let preference = self.preferred_lever_m * self.preferred_lever_m * self.position;
         Self {
             orientation: preference.min(self.orientation),
             tolerance_rad: 0.0,

@@ -35,7 +35,7 @@ pub enum Orientation {
     /// Direction of the tip axis (the z axis of the tip frame) in the base frame.
     Axis(Unit<Vector3<f64>>),
     /// Direction of the tip axis that the solver prefers where the position leaves a choice: it chooses a shape and hardly
-    /// moves the tip, see [`PREFERRED_LEVER_M`](crate::nmpc::PREFERRED_LEVER_M).
+    /// moves the tip, see [`PREFERRED_LEVER_SHARE`](crate::nmpc::PREFERRED_LEVER_SHARE).
     Preferred(Unit<Vector3<f64>>),
     /// The complete rotation base → tip.
     Full(UnitQuaternion<f64>),

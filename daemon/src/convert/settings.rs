@@ -94,6 +94,12 @@ mod tests {
             let mut parameters = NmpcSettings::PARAMETERS.iter();
             let parameter = parameters.find(|parameter| parameter.name == field.name);
             let unit = parameter.map_or("", UserParameter::unit);
+            let has_unit_elsewhere = parameter.is_none() && !field.unit.is_empty();
+            assert!(
+                !has_unit_elsewhere || field.name == "budget_ns",
+                "{}",
+                field.name
+            );
             assert!(unit.is_empty() || unit == field.unit, "{}", field.name);
         }
     }

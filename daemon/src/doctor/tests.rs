@@ -14,7 +14,7 @@ use crate::config::Config;
 use crate::system::choose;
 use crate::system::tests::Files;
 
-/// A observed over a folder that replaces the system's files.
+/// Observations over a folder that replaces the system's files.
 pub(super) struct Machine {
     pub(super) files: Files,
     /// All trials succeed, core 1 is idle, real time is preferred.
@@ -84,7 +84,7 @@ impl Machine {
         }
     }
 
-    /// Sets a field of the observed.
+    /// Sets a field of the observations.
     fn set(&mut self, name: &str, value: Value) {
         let observed = &mut self.observed;
         match name.split_once('.').unwrap() {
