@@ -76,8 +76,8 @@ pub(crate) struct Demands {
     stroke_max_m: f64,
     safe_distance_m: f64,
     has_orientation: bool,
-    /// The tip is brought to the first point before; that way is computed apart.
-    pub(crate) is_blended: bool,
+    /// The reference does not begin where the tip is, and nothing brings the tip there before: `--track` would join it.
+    pub(crate) may_join: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -285,7 +285,7 @@ impl Demands {
             stroke_max_m: robot.cable_stroke_max_m(),
             safe_distance_m: settings.safe_distance_m,
             has_orientation: false,
-            is_blended: false,
+            may_join: false,
         }
     }
 
@@ -446,7 +446,7 @@ impl fmt::Display for Demands {
         if let Some(near) = along.bend_share.warning() {
             writeln!(f, "  warning: {near}")?;
         }
-        if self.distance_m > JOINED_M && !self.is_blended {
+        if self.distance_m > JOINED_M && self.may_join {
             writeln!(f, "{NO_APPROACH}")?;
         }
         Ok(())

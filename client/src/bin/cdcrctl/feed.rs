@@ -61,7 +61,7 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
             blend(&connection, arguments, &*trajectory)?;
         }
         let mut demands = dry_run::compute(&connection, &*trajectory, &feed)?;
-        demands.is_blended = arguments.blend;
+        demands.may_join = !arguments.blend;
         demands.print(trajectory.name())?;
         reach::check(&newest(&connection)?, &*trajectory, allowed_m)?;
         let positions = || dry_run::compute_positions(&connection, &*trajectory, &feed);

@@ -23,7 +23,7 @@ pub(crate) fn robot(sections: u32) -> RobotDescription {
 }
 
 /// A record of a robot with two sections, straight and at rest.
-fn two_sections() -> Telemetry {
+pub(crate) fn two_sections() -> Telemetry {
     Telemetry {
         period_ns: 5_000_000,
         acceleration_rad_s2: 50.0,
@@ -228,15 +228,16 @@ fn an_obstacle_in_the_way_is_named() {
 fn the_fastest_way_to_a_far_first_point_is_not_taken_for_the_approach() {
     let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
     let says_so = |distance_m: f64| {
-        let demands = Demands::new(&robot, &NmpcSettings::default(), distance_m);
+        let mut demands = Demands::new(&robot, &NmpcSettings::default(), distance_m);
+        demands.may_join = true;
         demands
             .to_string()
             .contains("--track does not take this fastest way")
     };
     assert!(says_so(0.1) && !says_so(1e-4));
-    let mut blended = Demands::new(&robot, &NmpcSettings::default(), 0.1);
-    blended.is_blended = true;
-    assert!(!blended.to_string().contains("--track"));
+    // Ways that begin at the tip, as those of `goto` and `calibrate excite`, have no such options.
+    let from_the_tip = Demands::new(&robot, &NmpcSettings::default(), 0.1).to_string();
+    assert!(!from_the_tip.contains("--track") && !from_the_tip.contains("--blend"));
 }
 
 #[test]
