@@ -89,11 +89,13 @@ pub struct Calibration {
     pub noise: Noise,
     /// Rows of the fit that noise does not explain; they were excluded.
     pub outliers: usize,
+    /// The same of the held-out rows, by the spread of their own residuals: a wrong geometry widens it, and makes no outliers.
+    pub outliers_held_out: usize,
     /// Factor by which correlation between the residuals of successive rows widens the bounds: 1 if the model is right.
     pub correlation: f64,
-    /// Errors of the configured robot: in the fit, and held out.
+    /// Errors of the configured robot: in the fit, and held out, both without outliers.
     pub before: [TipError; 2],
-    /// Errors of the estimated geometry: in the fit without outliers, and held out.
+    /// Errors of the estimated geometry, in the same rows.
     pub after: [TipError; 2],
     /// Agreement of three cables on the backbone length: rms deviation of their mean from its average, for each section
     /// (m).
@@ -139,14 +141,20 @@ pub fn calibrate(
     loop {
         search.reset_held(&configured);
         search.fit(&configured, &fitted, false, true)?;
-        let kept = search.without_outliers(&fitted)?;
+        let kept = search.without_outliers(&fitted, &search.noise)?;
         search.fit(&configured, &kept, false, false)?;
         // Again at the geometry that was found, with its wider bounds: there, the rows may determine less.
         let square = search.information(&kept)?;
         if search.hold_undetermined(&square)? || search.hold_uncertain(&square)? {
             continue;
         }
-        return search.result(&configured, (&fitted, &kept, &held_out), &square);
+        let spread = search.noise.with_tip_noise(&search.geometry, &held_out);
+        let held_out_kept = search.without_outliers(&held_out, &spread)?;
+        let outliers = [
+            fitted.len() - kept.len(),
+            held_out.len() - held_out_kept.len(),
+        ];
+        return search.result(&configured, &kept, &held_out_kept, outliers, &square);
     }
 }
 
@@ -307,14 +315,14 @@ impl Search {
         self.geometry = configured.moved(&kept);
     }
 
-    /// The rows that noise explains.
+    /// The rows that `noise` explains.
     fn without_outliers<'a>(
         &self,
         rows: &[&'a CalibrationRow],
+        noise: &Noise,
     ) -> Result<Vec<&'a CalibrationRow>, CalibrationError> {
         let gate = (freedom(rows) as f64).sqrt() + 3.5;
-        let residuals =
-            residuals(&self.geometry, rows, &self.noise).ok_or(CalibrationError::NoRobot)?;
+        let residuals = residuals(&self.geometry, rows, noise).ok_or(CalibrationError::NoRobot)?;
         let rows = rows.iter().zip(&residuals);
         Ok(rows
             .filter(|(_, residual)| residual.norm() <= gate)
@@ -325,7 +333,9 @@ impl Search {
     fn result(
         self,
         configured: &Geometry,
-        (fitted, kept, held_out): (&[&CalibrationRow], &[&CalibrationRow], &[&CalibrationRow]),
+        kept: &[&CalibrationRow],
+        held_out: &[&CalibrationRow],
+        [outliers, outliers_held_out]: [usize; 2],
         square: &Square,
     ) -> Result<Calibration, CalibrationError> {
         let no_robot = CalibrationError::NoRobot;
@@ -350,7 +360,8 @@ impl Search {
             cable_zeros: self.cable_zeros(&covariance),
             cable_rms_m: cable_rms_m(configured.robot.sections.len(), kept),
             estimates,
-            outliers: fitted.len() - kept.len(),
+            outliers,
+            outliers_held_out,
             correlation: self.correlation,
             before: [error(configured, kept)?, error(configured, held_out)?],
             after: [

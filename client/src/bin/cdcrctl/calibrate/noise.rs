@@ -18,6 +18,12 @@ use crate::interrupt::Interrupt;
 const LEAST: usize = 20;
 /// Noise multiple for a threshold: noise exceeds it about once in a million measurements.
 const SAFE: f64 = 5.0;
+/// A measurement with a number farther from the median than this, in standard deviations, is a stray: noise is not.
+const STRAY: f64 = 6.0;
+/// Standard deviation of normal noise, relative to the median of its absolute deviations.
+const PER_MEDIAN: f64 = 1.4826;
+/// Rounding of a value \[m\].
+const ROUNDING_M: f64 = 1e-12;
 
 /// The values of each number of a sensor, and the times of its measurements.
 #[derive(Default)]
@@ -35,6 +41,10 @@ struct SensorNoise {
     step_m: Vec<f64>,
     rate_hz: f64,
     age_ms: f64,
+    measurements: usize,
+    /// Strays, which are left out of deviation and step, and the largest distance of one from the median.
+    left_out: usize,
+    left_out_max_m: f64,
 }
 
 pub(super) fn run(target: &Target, options: &NoiseOptions) -> anyhow::Result<Done> {
@@ -75,7 +85,10 @@ pub(super) fn run(target: &Target, options: &NoiseOptions) -> anyhow::Result<Don
         "too few measurements in {:?}: at least {LEAST} are needed; use a longer --duration",
         options.duration
     );
-    let notes = notes(&first, cables.is_some(), tip.is_some());
+    let mut notes = notes(&first, cables.is_some(), tip.is_some());
+    for (name, sensor) in [("cables", &cables), ("tip", &tip)] {
+        notes.extend(sensor.as_ref().and_then(|sensor| sensor.strays_note(name)));
+    }
     let status = connection.status(STATUS_TIMEOUT)?;
     let radii_m = status.robot.section.map(|section| section.cable_radius_m);
     let mut out = std::io::stdout().lock();
@@ -160,15 +173,51 @@ impl Sensor {
         }
     }
 
-    fn noise(self) -> Option<SensorNoise> {
+    fn noise(mut self) -> Option<SensorNoise> {
         let count = self.ages_ns.len();
-        (count >= LEAST).then(|| SensorNoise {
+        let strays_m = self.strays_m();
+        for values in &mut self.values {
+            let mut strays = strays_m.iter();
+            values.retain(|_| strays.next().is_none_or(|away_m| *away_m == 0.0));
+        }
+        let left_out = strays_m.iter().filter(|away_m| **away_m > 0.0).count();
+        (count - left_out >= LEAST).then(|| SensorNoise {
             deviation_m: self.values.iter().map(|values| deviation(values)).collect(),
             step_m: self.values.into_iter().map(smallest_step).collect(),
             rate_hz: (count - 1) as f64 * 1e9 / (self.newest_ns - self.first_ns) as f64,
             age_ms: self.ages_ns.iter().sum::<u64>() as f64 / count as f64 * 1e-6,
+            measurements: count,
+            left_out,
+            left_out_max_m: strays_m.into_iter().fold(0.0, f64::max),
         })
     }
+
+    /// For each measurement the distance of its farthest number from the median, if it is a stray; else 0. The spread
+    /// is a median, too, which strays hardly change; quantised values have at least that of their smallest step.
+    fn strays_m(&self) -> Vec<f64> {
+        let mut strays_m = vec![0.0_f64; self.ages_ns.len()];
+        for values in &self.values {
+            let middle_m = median(values.clone());
+            let away_m: Vec<_> = values.iter().map(|m| (m - middle_m).abs()).collect();
+            let steps_m = away_m.iter().copied().filter(|m| *m > ROUNDING_M);
+            let step_m = steps_m.fold(f64::INFINITY, f64::min);
+            let spread_m = match PER_MEDIAN * median(away_m.clone()) {
+                spread_m if spread_m > ROUNDING_M => spread_m,
+                _ => step_m,
+            };
+            for (stray_m, away_m) in strays_m.iter_mut().zip(away_m) {
+                if away_m > STRAY * spread_m {
+                    *stray_m = stray_m.max(away_m);
+                }
+            }
+        }
+        strays_m
+    }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 fn deviation(values: &[f64]) -> f64 {
@@ -182,9 +231,8 @@ fn deviation(values: &[f64]) -> f64 {
 fn smallest_step(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let steps = values.windows(2).map(|pair| pair[1] - pair[0]);
-    // Rounding is not a step.
     let smallest = steps
-        .filter(|step| *step > 1e-12)
+        .filter(|step| *step > ROUNDING_M)
         .fold(f64::INFINITY, f64::min);
     if smallest.is_finite() { smallest } else { 0.0 }
 }
@@ -192,6 +240,26 @@ fn smallest_step(mut values: Vec<f64>) -> f64 {
 impl SensorNoise {
     fn largest_m(&self) -> f64 {
         self.deviation_m.iter().copied().fold(0.0, f64::max)
+    }
+
+    /// True if no value differed from the others.
+    fn is_constant(&self) -> bool {
+        self.step_m.iter().all(|step_m| *step_m == 0.0)
+    }
+
+    fn strays_note(&self, name: &str) -> Option<String> {
+        let Self {
+            measurements,
+            left_out,
+            left_out_max_m,
+            ..
+        } = self;
+        (*left_out > 0).then(|| {
+            format!(
+                "{name}: {left_out} of {measurements} measurements left out, up to {:.1} mm from the others: the sensor jumps",
+                1e3 * left_out_max_m
+            )
+        })
     }
 }
 
@@ -214,6 +282,7 @@ fn text(
             step_m,
             rate_hz,
             age_ms,
+            ..
         }) = sensor
         else {
             continue;
@@ -221,9 +290,14 @@ fn text(
         for (i, (deviation_m, step_m)) in deviation_m.iter().zip(step_m).enumerate() {
             let [deviation, step] = [deviation_m, step_m].map(|m| 1e3 * m);
             let name = format!("{name} {}", i + 1);
+            let step = if step == 0.0 {
+                "unchanged".to_owned()
+            } else {
+                format!("{step:.6}")
+            };
             writeln!(
                 out,
-                "{name:<12}{deviation:>16.4}{step:>14.6}{rate_hz:>12.1}{age_ms:>12.2}"
+                "{name:<12}{deviation:>16.4}{step:>14}{rate_hz:>12.1}{age_ms:>12.2}"
             )?;
         }
     }
@@ -242,10 +316,25 @@ fn fragment(
 ) -> Result<String, std::fmt::Error> {
     let mut out = String::new();
     if let Some(tip) = tip {
-        writeln!(out, "[estimator]")?;
-        writeln!(out, "tip_noise_m = {:.7}", tip.largest_m().max(1e-6))?;
+        if tip.is_constant() {
+            writeln!(
+                out,
+                "# The measured tip did not change: its noise is below its resolution. Set estimator.tip_noise_m to the smallest step of the sensor."
+            )?;
+        } else {
+            writeln!(out, "[estimator]")?;
+            writeln!(out, "tip_noise_m = {:.7}", tip.largest_m().max(1e-6))?;
+        }
     }
     if let Some(cables) = cables {
+        if cables.is_constant() {
+            writeln!(
+                out,
+                "# The measured cables did not change: their noise is below their resolution. Set motion.home_tolerance_rad above one count of an \
+                 encoder, as a length, divided by the distance of the cable from the backbone."
+            )?;
+            return Ok(out);
+        }
         let sections = cables.deviation_m.chunks(3).zip(radii_m);
         let bends_rad = sections.map(|(section, radius_m)| {
             // Three cables at 120 degrees: each bend component has two thirds of their variance.
@@ -323,5 +412,45 @@ mod tests {
         let text = fragment(Some(&noise), None, &[0.0125]).expect("text");
         // √(0.5e-8 / 3 / 1.5) / 0.0125.
         assert!(text.contains("measured with 0.002680 rad"), "{text}");
+    }
+
+    /// A sensor that measures these values in turn, every 5 ms.
+    fn sensor(values_m: &[f64]) -> Sensor {
+        let mut sensor = Sensor::default();
+        for (i, value_m) in values_m.iter().enumerate() {
+            let at_ns = 1_000_000_000 + 5_000_000 * i as u64;
+            sensor.take(at_ns, at_ns, &[*value_m, 0.2, 0.1]);
+        }
+        sensor
+    }
+
+    #[test]
+    fn stray_measurements_are_left_out_and_counted() {
+        // 0.4 mm of noise, and a coarse sensor of which most values are equal.
+        let noise_m = |i: u32| 4e-4 * 2.0_f64.sqrt() * f64::from(i).sin();
+        let counts_m = |i: u32| if i.is_multiple_of(4) { 1e-4 } else { 0.0 };
+        for value_m in [noise_m as fn(u32) -> f64, counts_m] {
+            let mut values_m: Vec<_> = (0..130).map(value_m).collect();
+            let clean = sensor(&values_m).noise().expect("enough");
+            assert_eq!((clean.left_out, clean.strays_note("tip")), (0, None));
+            values_m[60] += 0.13;
+            let found = sensor(&values_m).noise().expect("enough");
+            assert_eq!((found.measurements, found.left_out), (130, 1));
+            assert!((found.left_out_max_m - 0.13).abs() < 1e-3);
+            let share = found.deviation_m[0] / clean.deviation_m[0];
+            assert!((share - 1.0).abs() < 0.02, "{share}");
+            let note = found.strays_note("tip").expect("a stray");
+            assert!(note.starts_with("tip: 1 of 130"), "{note}");
+        }
+    }
+
+    #[test]
+    fn values_that_do_not_change_give_no_advice_of_zero() {
+        let still = sensor(&[0.3; 100]).noise().expect("enough");
+        let text = text(Some(&still), Some(&still), &[], &[0.0125]).expect("text");
+        assert!(text.contains("unchanged"), "{text}");
+        for absent in ["above 0.0", "tip_noise_m = ", "0.000000"] {
+            assert!(!text.contains(absent), "{text}");
+        }
     }
 }

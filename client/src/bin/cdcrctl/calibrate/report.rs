@@ -133,10 +133,11 @@ fn evaluation(out: &mut String, found: &Calibration) -> Result<(), Error> {
     let noise = &found.noise;
     writeln!(
         out,
-        "\nnoise: {:.4} mm of a cable, {:.3} mm of a tip coordinate; outlier rows left out: {}",
+        "\nnoise: {:.4} mm of a cable, {:.3} mm of a tip coordinate; outlier rows left out: {}, held out {}",
         1e3 * noise.cable_m,
         1e3 * noise.tip_m,
-        found.outliers
+        found.outliers,
+        found.outliers_held_out
     )?;
     let rms: Vec<_> = found
         .cable_rms_m
@@ -292,6 +293,7 @@ pub(super) fn json(
         "cable_rms_m": found.cable_rms_m,
         "noise": { "cable_m": found.noise.cable_m, "tip_m": found.noise.tip_m },
         "outliers": found.outliers,
+        "outliers_held_out": found.outliers_held_out,
         "correlation": found.correlation,
         "toml": fragment(robot, found).unwrap_or_default(),
     })
