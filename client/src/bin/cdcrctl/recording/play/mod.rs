@@ -1,6 +1,7 @@
 //! Feeds the references and obstacles of a recording to a running daemon.
 
 mod ids;
+mod pieces;
 mod source;
 
 use std::io::{self, Write};
@@ -23,6 +24,7 @@ use super::topic::Topic;
 use crate::Done;
 use crate::args::{ReplayOptions, Target};
 use crate::bar::Bar;
+use crate::dry_run::newest;
 use crate::feed::check_mode;
 use crate::interrupt::Interrupt;
 use crate::known_obstacles::known;
@@ -65,6 +67,11 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
         tell!(
             "note: obstacles of the recording are left out, because their ids are in use: {in_use}"
         );
+    }
+    let tip_m = newest(&connection)?.tip_position_m;
+    let note = pieces::Pieces::read(&options.file, tip_m)?.note(&name, options.speed);
+    if let Some(note) = note {
+        tell!("{note}");
     }
     let interrupt = Interrupt::catch()?;
     let mut player = Player::new(&connection, options.speed, ids, others)?;
