@@ -324,6 +324,7 @@ impl Connection {
     ///
     /// t: (k,) [s], xyz: (k, 3) [m], and so on as in Trajectory.from_arrays. track: ask for tracking once the daemon has the first points. lead_s: from the begin of
     /// the `with` to the first point, 0.05 to 60 s. Raises ArgumentError; what the daemon says comes up in the `with`.
+    /// Checks neither speed nor reach nor how near the tip is at the end: docs/python.md says how to.
     #[pyo3(signature = (t, xyz, *, quaternion = None, axis = None, interpolation: "Interpolation" = "cubic", track = true, lead_s = 0.3))]
     #[allow(clippy::too_many_arguments, reason = "each is a name in Python")]
     fn feed(

@@ -105,6 +105,13 @@ impl FileTrajectory {
         if header.is_empty() {
             return Err((None, Problem::Empty));
         }
+        // No name of a column begins so.
+        if text
+            .trim_start_matches(['\u{feff}', ' ', '\r', '\n'])
+            .starts_with(['{', '['])
+        {
+            return Err((None, Problem::Json));
+        }
         let columns = Columns::find(header).map_err(in_line(1))?;
         check_end(text, header)?;
         let mut trajectory = Self {
@@ -396,6 +403,19 @@ mod tests {
         for header in ["t_s,x_m,y_m,z_m,x_m", "x_m,t_s, x_m,y_m,z_m"] {
             let text = message(&format!("{header}\n0,0,0,0,0\n1,0,0,0,0\n"));
             assert_eq!(text, "ref.csv:1: column x_m is given more than once");
+        }
+    }
+
+    #[test]
+    fn json_is_named() {
+        let point = r#"{"t_s": 0, "x_m": 0.06, "y_m": 0, "z_m": 0.4}"#;
+        let next = point.replace("0,", "1,");
+        for json in [format!("[{point}, {next}]\n"), format!("{point}\n{next}\n")] {
+            let text = message(&json);
+            assert!(
+                text.starts_with("ref.csv is JSON; it must be a CSV"),
+                "{text}"
+            );
         }
     }
 

@@ -34,9 +34,7 @@ impl TipCause {
                  (4) lengths or cable radii of the configuration are wrong: cdcrctl calibrate geometry; \
                  (5) the encoders have lost their zero: docs/drivers.md, Zero; (6) the sensor sees something else than the tip"
             }
-            Self::WasFar => {
-                "It exceeded the limit before: it is used again after 0.32 to 20 s within it"
-            }
+            Self::WasFar => "It is used again after 0.32 to 20 s within the limit",
             Self::Jumps => {
                 "It moved faster than the robot can: look for reflections and a lost line of sight"
             }
@@ -85,9 +83,16 @@ impl TipRejection {
 impl fmt::Display for TipRejection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [away_mm, limit_mm] = [1e3 * self.away_m, 1e3 * self.limit_m];
+        let limit = format!("{limit_mm:.1} mm, a ninth of the robot's length and at most 100 mm");
+        let was_far = matches!(self.cause, TipCause::Far | TipCause::WasFar);
+        let limit = match (self.away_m > self.limit_m, was_far) {
+            (true, _) => format!("; the limit is {limit}"),
+            (false, true) => format!(", after it was beyond the limit of {limit}"),
+            (false, false) => format!(", which is within the limit of {limit}"),
+        };
         write!(
             f,
-            "the measured tip is not used, {away_mm:.1} mm from where the bends place it; the limit is {limit_mm:.1} mm, a ninth of the robot's length and at most 100 mm. {}",
+            "the measured tip is not used, {away_mm:.1} mm from where the bends place it{limit}. {}",
             self.cause.advice()
         )
     }
@@ -126,6 +131,31 @@ mod tests {
             let text = text(cause);
             assert!(text.contains(part) && !text.contains("calibrate"), "{text}");
         }
+    }
+
+    #[test]
+    fn a_tip_that_is_near_again_is_not_called_too_far() {
+        let near = |cause| {
+            let rejection = TipRejection {
+                limit_m: 0.06,
+                ..rejection(cause)
+            };
+            rejection.to_string()
+        };
+        let text = near(TipCause::WasFar);
+        assert!(
+            text.contains(
+                "50.0 mm from where the bends place it, after it was beyond the limit of 60.0 mm"
+            ),
+            "{text}"
+        );
+        let text = near(TipCause::Frozen);
+        assert!(
+            text.contains("which is within the limit of 60.0 mm"),
+            "{text}"
+        );
+        let text = rejection(TipCause::WasFar).to_string();
+        assert!(text.contains("; the limit is 33.3 mm"), "{text}");
     }
 
     #[test]

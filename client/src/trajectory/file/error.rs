@@ -43,6 +43,11 @@ pub enum TrajectoryFileProblem {
     /// The file has no line but comments.
     #[error("is empty; it needs the header t_s,x_m,y_m,z_m and at least 2 rows")]
     Empty,
+    /// The file is JSON.
+    #[error(
+        "is JSON; it must be a CSV file with the columns t_s,x_m,y_m,z_m or t_s,x_m,y_m,z_m,qx,qy,qz,qw"
+    )]
+    Json,
     /// This column is missing in the header.
     #[error("column {0} is missing; the header is t_s,x_m,y_m,z_m or t_s,x_m,y_m,z_m,qx,qy,qz,qw")]
     MissingColumn(&'static str),
