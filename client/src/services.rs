@@ -45,20 +45,24 @@ pub(crate) struct Open<S> {
 #[derive(Debug, Clone)]
 pub(crate) struct ServiceFile {
     path: PathBuf,
-    inode: Option<u64>,
+    /// Device and inode: a new mount over the folder may give the number of the old file to the new one.
+    identity: Option<(u64, u64)>,
 }
 
 impl ServiceFile {
     fn new(path: PathBuf) -> Self {
-        let inode = path.symlink_metadata().ok().map(|file| file.ino());
-        Self { path, inode }
+        let file = path.symlink_metadata().ok();
+        let identity = file.map(|file| (file.dev(), file.ino()));
+        Self { path, identity }
     }
 
     /// Whether it was deleted or replaced. A file that cannot be examined was not: systemd changes the mode of the folder
     /// for a moment when it reloads a daemon.
     pub(crate) fn is_replaced(&self) -> bool {
         match self.path.symlink_metadata() {
-            Ok(file) => self.inode.is_some_and(|inode| inode != file.ino()),
+            Ok(file) => self
+                .identity
+                .is_some_and(|identity| identity != (file.dev(), file.ino())),
             Err(cause) => cause.kind() == io::ErrorKind::NotFound,
         }
     }
