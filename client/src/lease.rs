@@ -89,6 +89,11 @@ impl<'c> Lease<'c> {
         self.grant
     }
 
+    /// Whether it expires before `now_ns` without a further renewal.
+    pub(crate) fn is_expired(&self, now_ns: u64) -> bool {
+        now_ns > self.renewed_ns.get() + self.left().as_nanos() as u64
+    }
+
     /// Time of the next renewal \[ns, `CLOCK_MONOTONIC`\].
     pub(crate) fn renewal_due_ns(&self) -> u64 {
         renewal_due_ns(self.renewed_ns.get(), self.left())

@@ -224,6 +224,7 @@ impl From<FeedError> for Failure {
             FeedError::LeaseLost { .. } => {
                 "End the client that holds the lease (cdcrctl status), or wait for it; then feed again."
             }
+            FeedError::TooLate { .. } => "Feed again, with a longer lead.",
             FeedError::LeftTracking { remedy, .. } => remedy,
         };
         Self::new(Class::Feed, &error, next)

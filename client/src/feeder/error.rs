@@ -54,6 +54,15 @@ pub enum FeedError {
         /// Played time of the trajectory \[s\].
         played_s: f64,
     },
+    /// The reference was over before the daemon tracked it.
+    #[error(
+        "the reference was over before the daemon tracked it, after {played_s:.2} s: this program was delayed. Feed the reference again, \
+         earlier (a longer lead) if that happens again"
+    )]
+    TooLate {
+        /// Played time of the trajectory \[s\].
+        played_s: f64,
+    },
     /// The daemon did not report an outcome of the first chunk.
     #[error("the daemon did not react to the reference within 1 s; see cdcrctl status")]
     Ignored,
@@ -84,9 +93,14 @@ pub enum FeedError {
 }
 
 impl FeedError {
-    /// For a request to track a reference that this feed had the daemon accept.
-    pub(super) fn not_tracked(error: RequestError, played_s: f64) -> Self {
+    /// For a request to track a reference that this feed had the daemon accept, and that `is_over` by now.
+    pub(super) fn not_tracked(error: RequestError, played_s: f64, is_over: bool) -> Self {
         match error {
+            RequestError::Refused {
+                outcome: Outcome::NoReference,
+                ..
+            } if is_over => Self::TooLate { played_s },
+            // A reference that is not over went with a lease that was renewed after it had expired.
             RequestError::Refused {
                 outcome: Outcome::NoLease | Outcome::NoReference,
                 ..
@@ -118,24 +132,28 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn a_feed_that_lost_its_lease_names_the_holder_and_not_how_to_feed() {
+    fn a_feed_that_was_not_tracked_names_the_holder_or_the_delay_and_not_how_to_feed() {
         let refused = |outcome| RequestError::Refused {
             asked: RequestName::Request(RequestKind::Track),
             outcome,
             mode: Mode::Holding,
             pose: PoseDifference::default(),
         };
-        for outcome in [Outcome::NoLease, Outcome::NoReference] {
-            let text = FeedError::not_tracked(refused(outcome), 1.5).to_string();
-            assert!(
-                text.contains("lost after 1.50 s") && text.contains("cdcrctl status shows"),
-                "{text}"
-            );
+        let lost = ["lost after 1.50 s", "cdcrctl status shows"];
+        for (outcome, is_over, words) in [
+            (Outcome::NoLease, false, lost),
+            (Outcome::NoLease, true, lost),
+            (Outcome::NoReference, false, lost),
+            (Outcome::NoReference, true, ["over before", "after 1.50 s"]),
+        ] {
+            let text = FeedError::not_tracked(refused(outcome), 1.5, is_over).to_string();
+            assert!(words.iter().all(|word| text.contains(word)), "{text}");
             assert!(!text.contains("--track"), "{text}");
+            assert_eq!(text.contains("lease"), words == lost, "{text}");
         }
         let too_far = refused(Outcome::TooFar);
         assert_eq!(
-            FeedError::not_tracked(too_far.clone(), 0.0),
+            FeedError::not_tracked(too_far.clone(), 0.0, true),
             FeedError::Request(too_far)
         );
     }

@@ -178,7 +178,8 @@ impl<'c> Feeder<'c> {
         if self.options.track && flow.is_continue() && !state.watch.is_tracking() {
             // After a suspension of this program the records of its end may still be queued.
             flow = self.read_records(&mut state, &mut observer)?;
-            state.check_tracked(flow)?;
+            let holds = !self.lease.is_expired(monotonic_ns());
+            state.check_tracked(flow, holds, self.telemetry.lost())?;
         }
         Ok(state.report(flow, self.telemetry.lost()))
     }
@@ -224,7 +225,10 @@ impl<'c> Feeder<'c> {
     fn track_once(&self, state: &mut FeedState) -> Result<(), FeedError> {
         if self.options.track && !state.track_requested && state.watch.is_accepted() {
             let tracked = self.connection.request(RequestKind::Track);
-            tracked.map_err(|error| FeedError::not_tracked(error, state.played_s()))?;
+            tracked.map_err(|error| {
+                let is_over = monotonic_ns() > state.schedule.end_ns();
+                FeedError::not_tracked(error, state.played_s(), is_over)
+            })?;
             state.track_requested = true;
         }
         Ok(())
@@ -292,13 +296,24 @@ impl FeedState<'_> {
         Ok(())
     }
 
-    /// Fails where a reference that was to be tracked has passed and was not.
-    fn check_tracked(&self, flow: ControlFlow<()>) -> Result<(), FeedError> {
-        if flow.is_break() || self.watch.is_tracking() {
+    /// Fails where a reference that was to be tracked has passed and was not, while the lease was held or not.
+    fn check_tracked(
+        &self,
+        flow: ControlFlow<()>,
+        holds_lease: bool,
+        lost_records: u64,
+    ) -> Result<(), FeedError> {
+        // The daemon has accepted the request to track; the records of that may be among those that were lost.
+        let is_unknown = self.track_requested && lost_records > 0;
+        if flow.is_break() || self.watch.is_tracking() || is_unknown {
             return Ok(());
         }
         let played_s = self.played_s();
-        Err(FeedError::LeaseLost { played_s })
+        Err(if holds_lease {
+            FeedError::TooLate { played_s }
+        } else {
+            FeedError::LeaseLost { played_s }
+        })
     }
 
     fn restarted(&self) -> FeedError {
@@ -339,6 +354,36 @@ impl FeedState<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Spiral;
+    use crate::lease::Grant;
+
+    #[test]
+    fn a_reference_that_was_not_tracked_names_the_lease_only_where_that_was_lost() {
+        let spiral = Spiral::for_sections(&[0.3]);
+        let grant = Grant {
+            daemon_id: 3,
+            asked_ns: 0,
+        };
+        let mut state = FeedState {
+            schedule: Schedule::new(&spiral, &FeedOptions::default(), 0).expect("valid"),
+            watch: FeedWatch::new(7, grant),
+            record_arrived_ns: 0,
+            renewed_ns: 0,
+            last_release_ns: 0,
+            begun_ns: 0,
+            track_requested: false,
+        };
+        let go_on = ControlFlow::Continue(());
+        let held = state.check_tracked(go_on, true, 0);
+        assert!(matches!(held, Err(FeedError::TooLate { .. })), "{held:?}");
+        let lost = state.check_tracked(go_on, false, 5);
+        assert!(matches!(lost, Err(FeedError::LeaseLost { .. })), "{lost:?}");
+        assert!(state.check_tracked(ControlFlow::Break(()), true, 0).is_ok());
+        // The records that show it tracking were lost.
+        state.track_requested = true;
+        assert!(state.check_tracked(go_on, false, 5).is_ok());
+        assert!(state.check_tracked(go_on, true, 0).is_err());
+    }
 
     #[test]
     fn a_turn_is_at_most_a_fifth_of_the_lease() {

@@ -74,8 +74,22 @@ fn two_clients_one_lease() {
 }
 
 #[test]
-fn a_feed_that_was_delayed_until_its_reference_was_over_names_the_lease() {
-    let daemon = Daemon::start("");
+fn a_feed_that_was_delayed_until_its_reference_was_over_names_the_lease_if_that_was_lost() {
+    for (lease_ms, is_lost) in [(500, true), (60_000, false)] {
+        let error = delayed(&Daemon::start(&format!(
+            "[reference]\nlease_ms = {lease_ms}.0\n"
+        )));
+        let is_told = match error {
+            FeedError::LeaseLost { .. } => is_lost,
+            FeedError::TooLate { .. } => !is_lost,
+            _ => false,
+        };
+        assert!(is_told, "{error}");
+    }
+}
+
+/// Why a feed fails whose program stands still until its reference is over.
+fn delayed(daemon: &Daemon) -> FeedError {
     let connection = daemon.connect();
     let line = paper_line(0.1);
     let options = FeedOptions {
@@ -89,6 +103,5 @@ fn a_feed_that_was_delayed_until_its_reference_was_over_names_the_lease() {
         }
         ControlFlow::Continue(())
     });
-    let error = ended.expect_err("nothing was tracked");
-    assert!(matches!(error, FeedError::LeaseLost { .. }), "{error}");
+    ended.expect_err("nothing was tracked")
 }
