@@ -119,7 +119,8 @@ pub(crate) struct TipWatch {
 }
 
 impl TipWatch {
-    /// A warning when the measured tip has not been in use for [`SILENT_NS`], the first time.
+    /// A warning when the measured tip has not been in use for [`SILENT_NS`], the first time. It names no option: not every
+    /// command that moves the robot has the same ones.
     pub(crate) fn take(&mut self, record: &Telemetry) -> Option<String> {
         let silent_ns = silence_ns(record.release_ns, record.tip_measured_ns);
         let cause = TipCause::try_from(record.tip_cause).ok();
@@ -141,8 +142,7 @@ impl TipWatch {
             _ => "the tip sensor is silent".to_owned(),
         };
         Some(format!(
-            "warning: {cause}: until it measures again, the tip and its error are those of the model, and --max-error is decided by them \
-             (cdcrctl status)"
+            "warning: {cause}: until it measures again, the tip and its error are those of the model (cdcrctl status)"
         ))
     }
 }
@@ -174,6 +174,8 @@ mod tests {
         assert!(matches!(&silent[..], [(301, text)] if text.contains("the tip sensor is silent")));
         let rejected = told(u64::MAX, 100);
         assert!(matches!(&rejected[..], [(301, text)] if text.contains("because it moved faster")));
+        let texts = || silent.iter().chain(&rejected);
+        assert!(texts().all(|(_, text)| !text.contains("--")), "{silent:?}");
         for of_never_or_always in [told(0, u64::MAX), told(u64::MAX, 800), told(u64::MAX, 0)] {
             assert!(of_never_or_always.is_empty(), "{of_never_or_always:?}");
         }
