@@ -37,8 +37,8 @@ pub(crate) const REQUEST_TIMEOUT: Duration = Duration::from_millis(REQUEST_AGE_M
 /// again. `header.sender_id` identifies a daemon.
 ///
 /// It does not outlive the root folder: once that was emptied or replaced, it reaches no daemon. Silence is then
-/// [`Liveness::Replaced`](crate::Liveness::Replaced), and a port that sends fails with [`LinkError::Replaced`] within four seconds.
-/// Open a new connection.
+/// [`Liveness::Replaced`](crate::Liveness::Replaced), and a port that sends fails with [`LinkError::Replaced`]:
+/// after 14 seconds, or with its second message where the messages are farther apart. Open a new connection.
 #[derive(Debug)]
 pub struct Connection {
     place: Place,

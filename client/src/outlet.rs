@@ -11,6 +11,9 @@ use crate::{LinkError, Message};
 
 /// Interval of the checks that the daemon's root folder is still the one of the port.
 const CHECK_INTERVAL: Duration = Duration::from_secs(2);
+/// How long the folder is another one before a port fails. A daemon whose folder is emptied notices that within 1 s and waits
+/// up to 10 s for its robot to be at rest; its driver takes part in that.
+const RAMP: Duration = Duration::from_secs(12);
 
 /// Publisher of one service: stamps the header and sends.
 ///
@@ -19,10 +22,7 @@ const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 pub(crate) struct Outlet<T: Message> {
     publisher: Publisher<ipc::Variant, T, ()>,
     sender: MessageSender,
-    file: ServiceFile,
-    checked: Cell<Instant>,
-    /// Checks in a row that found the file replaced.
-    replaced: Cell<u32>,
+    place: PlaceWatch,
 }
 
 impl<T: Message> Outlet<T> {
@@ -44,9 +44,7 @@ impl<T: Message> Outlet<T> {
         Ok(Self {
             publisher,
             sender,
-            file: service.file.clone(),
-            checked: Cell::new(Instant::now()),
-            replaced: Cell::default(),
+            place: PlaceWatch::new(service.file.clone()),
         })
     }
 
@@ -55,7 +53,9 @@ impl<T: Message> Outlet<T> {
     }
 
     pub(crate) fn send(&self, mut message: T) -> Result<Header, LinkError> {
-        self.check_place()?;
+        if self.place.is_lost(Instant::now()) {
+            return Err(LinkError::replaced(T::SERVICE));
+        }
         let header = self.sender.next_header(T::SERVICE);
         message.set_header(header);
         self.publisher
@@ -63,22 +63,58 @@ impl<T: Message> Outlet<T> {
             .map_err(|cause| LinkError::send(T::SERVICE, cause))?;
         Ok(header)
     }
+}
 
-    /// Fails where no daemon can receive any more. The second check in a row decides: a daemon whose root folder is emptied
-    /// first brings its robot to rest, within a second and the ramp, and its driver takes part in that.
-    fn check_place(&self) -> Result<(), LinkError> {
-        if self.replaced.get() < 2 {
-            if self.checked.get().elapsed() < CHECK_INTERVAL {
-                return Ok(());
-            }
-            self.checked.set(Instant::now());
+/// Watches whether a daemon can still receive what a port sends.
+#[derive(Debug)]
+struct PlaceWatch {
+    file: ServiceFile,
+    checked: Cell<Instant>,
+    /// The first of the checks in a row that found the file replaced.
+    replaced: Cell<Option<Instant>>,
+}
+
+impl PlaceWatch {
+    fn new(file: ServiceFile) -> Self {
+        Self {
+            file,
+            checked: Cell::new(Instant::now()),
+            replaced: Cell::default(),
+        }
+    }
+
+    /// Whether no daemon can receive any more, for ever.
+    fn is_lost(&self, now: Instant) -> bool {
+        if !self.is_sure() && now - self.checked.get() >= CHECK_INTERVAL {
+            self.checked.set(now);
             let before = self.replaced.get();
             let is_replaced = self.file.is_replaced();
-            self.replaced.set(if is_replaced { before + 1 } else { 0 });
+            self.replaced
+                .set(is_replaced.then(|| before.unwrap_or(now)));
         }
-        if self.replaced.get() < 2 {
-            return Ok(());
+        self.is_sure()
+    }
+
+    fn is_sure(&self) -> bool {
+        let since = self.replaced.get();
+        since.is_some_and(|since| self.checked.get() - since >= RAMP)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_port_is_lost_only_after_a_daemon_can_have_brought_its_robot_to_rest() {
+        for (every_ms, told_ms) in [(5, 14_000), (2_000, 14_000), (60_000, 120_000)] {
+            let watch = PlaceWatch::new(ServiceFile::new("/nonexistent/service".into()));
+            let begin = watch.checked.get();
+            let after = |ms: u64| begin + Duration::from_millis(ms);
+            let sent_ms = (1..).map(|k| k * every_ms);
+            let first_ms = sent_ms.clone().find(|ms| watch.is_lost(after(*ms)));
+            assert_eq!(first_ms, Some(told_ms));
+            assert!(watch.is_lost(after(told_ms + 1)), "for ever");
         }
-        Err(LinkError::replaced(T::SERVICE))
     }
 }

@@ -50,7 +50,7 @@ pub(crate) struct ServiceFile {
 }
 
 impl ServiceFile {
-    fn new(path: PathBuf) -> Self {
+    pub(crate) fn new(path: PathBuf) -> Self {
         let file = path.symlink_metadata().ok();
         let identity = file.map(|file| (file.dev(), file.ino()));
         Self { path, identity }
