@@ -4,7 +4,7 @@
 //! or a driver goes on meanwhile, and an interrupt ends the program.
 
 use std::collections::VecDeque;
-use std::io::{Write as _, stderr};
+use std::io::{Write as _, stderr, stdout};
 use std::sync::{Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -23,6 +23,8 @@ const ORDER: Duration = Duration::from_millis(50);
 pub(crate) const UNREAD: Duration = Duration::from_secs(1);
 /// Number of lines kept for a terminal that is not read. The oldest are discarded.
 const LINES_MAX: usize = 1000;
+/// Interval of the checks whether standard output takes the results.
+const OUTPUT_CHECK: Duration = Duration::from_millis(5);
 /// Terminal sequence that removes the line of the cursor.
 const REMOVE_LINE: &str = "\r\x1b[2K";
 
@@ -113,6 +115,18 @@ pub(crate) fn finish() {
             return;
         }
     }
+}
+
+/// Waits until standard output takes the results. `false`: nobody reads it, and an interrupt has ended the program.
+pub(crate) fn results_are_read() -> bool {
+    let mut unread = Unread::default();
+    while !keys::takes_output(&stdout()) {
+        if unread.is_over(false) && Interrupt::was_raised() {
+            return false;
+        }
+        thread::sleep(OUTPUT_CHECK);
+    }
+    true
 }
 
 /// How long nobody has read a terminal. A thread that the machine delays is not taken for one that hangs.

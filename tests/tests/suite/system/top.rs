@@ -217,7 +217,7 @@ fn a_feed_goes_on_while_its_terminal_is_not_read_and_an_interrupt_ends_it() {
 fn the_scope_records_and_ends_while_its_terminal_is_not_read() {
     let daemon = Daemon::start("");
     let connection = daemon.connect();
-    for fires in [true, false] {
+    for (fires, interrupted) in [(true, false), (true, true), (false, false)] {
         let (mut terminal, theirs) = Terminal::new(80, 24);
         let before = tcgetattr(&theirs).unwrap().local_modes;
         let line = "scope --trigger mode --before 1s --after 300ms -o unread.mcap";
@@ -228,9 +228,21 @@ fn the_scope_records_and_ends_while_its_terminal_is_not_read() {
         let unread = shown.lock().unwrap();
         fill(&terminal.keys);
         if fires {
-            ask_for(&connection, RequestKind::Home);
+            let kind = if interrupted {
+                RequestKind::Stop
+            } else {
+                RequestKind::Home
+            };
+            ask_for(&connection, kind);
             let file = daemon.place().folder().join("unread.mcap");
             wait_until("it is recorded", || file.exists());
+            if interrupted {
+                scope.signal(Signal::INT);
+                assert_eq!(scope.wait(String::new).code(), Some(0));
+                drop(unread);
+                std::fs::remove_file(file).unwrap();
+                continue;
+            }
             drop(unread);
             terminal.wait_for("before and");
             assert_eq!(scope.wait(String::new).code(), Some(0));

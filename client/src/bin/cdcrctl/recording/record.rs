@@ -16,13 +16,13 @@ use super::intake::{Intake, Reading};
 use super::invocation::Invocation;
 use super::sink::{CHANNELS, Head, Sink};
 use super::when::{date_time, unix_offset_ns};
-use crate::Done;
 use crate::args::{RecordingOptions, Target};
 use crate::echo::json;
 use crate::files::check_new;
 use crate::interrupt::Interrupt;
 use crate::settings::save::configuration;
 use crate::trigger::Trigger;
+use crate::{Done, tell};
 
 /// Interval of the flushes: a killed recorder loses at most this, besides data that waits for the disk.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
@@ -160,7 +160,9 @@ fn recorded(target: &Target, mut task: RecordTask<'_>) -> anyhow::Result<Done> {
         ended => ended,
     };
     finished.with_context(cannot_write)?;
-    print_summary(&path, counts, &ended, &lost).map_err(OutputError)?;
+    if tell::results_are_read() {
+        print_summary(&path, counts, &ended, &lost).map_err(OutputError)?;
+    }
     if let Ended::Failed(cause) = ended {
         return Err(cause).with_context(|| format!("{name}: the recording ended there"));
     }

@@ -11,11 +11,11 @@ use cdcr_shared_types::codes::Mode;
 use ratatui::crossterm::terminal;
 
 use super::record::{Around, RecordTask, RecordWatch, record};
-use crate::Done;
 use crate::args::{ScopeOptions, Target};
 use crate::keys::Keys;
 use crate::top;
 use crate::trigger::Trigger;
+use crate::{Done, tell};
 use screen::ScopeScreen;
 
 /// Columns of a chart, without its numbers.
@@ -43,7 +43,7 @@ pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Don
         watch: &mut scope,
     };
     let done = record(target, task)?;
-    if done == Done::Good {
+    if done == Done::Good && tell::results_are_read() {
         let columns = if scope.on_terminal {
             terminal::size()?.0.into()
         } else {
