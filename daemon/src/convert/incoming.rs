@@ -50,7 +50,7 @@ const AHEAD_MAX_NS: u64 = 1_000_000_000 * REFERENCE_AHEAD_S_MAX as u64;
 /// Larger bends \[rad\], lengths or positions \[m\] are not valid measurements.
 const MEASURED_MAX: f64 = 1e3;
 
-/// The points of a chunk, all validated: finite, ahead of `now_ns` by at most [`AHEAD_MAX_NS`], inside the reachable
+/// The points of a chunk, all validated: finite, ahead of `now_ns` by at most [`REFERENCE_AHEAD_S_MAX`], inside the reachable
 /// ball, with unit orientations. The trajectory checks that their times increase.
 pub fn reference_points<'a>(
     chunk: &'a wire::ReferenceChunk,
