@@ -115,11 +115,18 @@ fn differentiate(
     let mut gradient = |shape: &Configuration| {
         let mut sum = [0.0; COORDINATES_MAX];
         let tip = problem.robot.tip_jacobian(shape, &mut jacobian);
-        pose_error::residuals(&tip, &jacobian, target, weights, &mut |row: ResidualRow| {
-            for (sum, derivative) in sum.iter_mut().zip(row.derivatives) {
-                *sum += row.residual * derivative;
-            }
-        });
+        pose_error::residuals(
+            problem.robot,
+            &tip,
+            &jacobian,
+            target,
+            weights,
+            &mut |row: ResidualRow| {
+                for (sum, derivative) in sum.iter_mut().zip(row.derivatives) {
+                    *sum += row.residual * derivative;
+                }
+            },
+        );
         sum
     };
     for i in 0..problem.motion.width() {

@@ -15,8 +15,6 @@ pub(super) struct PoseWeights {
     pub orientation: f64,
     /// Orientation error without cost \[rad\].
     pub tolerance_rad: f64,
-    /// See [`PREFERRED_LEVER_SHARE`] \[m\].
-    pub preferred_lever_m: f64,
 }
 
 /// An angle between the tip axis and a preferred one costs as much as the distance that a lever of this share of the reach,
@@ -27,8 +25,9 @@ pub const PREFERRED_LEVER_SHARE: f64 = 1.0 / 90.0;
 impl PoseWeights {
     /// The weights with a preferred axis in place of a required one.
     #[inline(always)]
-    fn of_preference(&self) -> Self {
-        let preference = self.preferred_lever_m * self.preferred_lever_m * self.position;
+    fn of_preference(&self, robot: &Robot) -> Self {
+        let lever_m = PREFERRED_LEVER_SHARE * robot.reach_m();
+        let preference = lever_m * lever_m * self.position;
         Self {
             orientation: preference.min(self.orientation),
             tolerance_rad: 0.0,
@@ -54,7 +53,7 @@ pub(super) fn squared_error<const W: usize>(
         Orientation::Preferred(axis) if weights.orientation > 0.0 => {
             let (tip, [z]) = robot.tip_frame_wide::<W, 1>(bend_rad);
             distance_squared(&tip, &target.position_m) * weights.position
-                + distance_squared(&z, &axis) * weights.of_preference().orientation
+                + distance_squared(&z, &axis) * weights.of_preference(robot).orientation
         }
         Orientation::Axis(axis) if weights.orientation > 0.0 => {
             let (tip, [z]) = robot.tip_frame_wide::<W, 1>(bend_rad);
@@ -117,6 +116,7 @@ pub(super) struct ResidualRow {
 
 /// Residuals, whose squared sum is the weighted squared error, and their derivatives.
 pub(super) fn residuals(
+    robot: &Robot,
     tip: &Pose,
     jacobian: &Jacobian,
     target: &ReferenceSample,
@@ -144,7 +144,7 @@ pub(super) fn residuals(
             }
             Orientation::Preferred(axis) => {
                 let axes = [(tip.rotation.column(2).into(), axis.into_inner())];
-                chord_residuals(&axes, 1.0, jacobian, &weights.of_preference(), push);
+                chord_residuals(&axes, 1.0, jacobian, &weights.of_preference(robot), push);
             }
             Orientation::Full(rotation) => {
                 let wanted: Matrix3<f64> = rotation.to_rotation_matrix().into_inner();

@@ -7,7 +7,7 @@ pub(super) use position_only::PositionOnly;
 use super::limits::{LIMITS, LimitRow, PlanLimits};
 use super::motion::{ANGLES, Bent, Motion, VECTORS};
 use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
-use super::pose_error::{self, PREFERRED_LEVER_SHARE, PoseWeights, ResidualRow};
+use super::pose_error::{self, PoseWeights, ResidualRow};
 use super::{Coordinates, NmpcSettings};
 use crate::optimizer::{
     Bounds, Budget, Evaluation, Incumbent, LinearModel, Problem, Reach, RowStage, Stages, WIDTH_MAX,
@@ -28,8 +28,6 @@ pub(super) struct TrackingProblem<'a> {
     bounds: &'a Bounds,
     reference: &'a [ReferenceSample],
     stages: Stages,
-    /// See [`PREFERRED_LEVER_SHARE`] \[m\].
-    preferred_lever_m: f64,
     /// Whether no orientation has a weight.
     follows_positions: bool,
     /// Whether reference and settings allow [`Self::is_position_only`].
@@ -75,7 +73,6 @@ impl<'a> TrackingProblem<'a> {
                 motion.period_s(),
                 motion.horizon().lengths(),
             ),
-            preferred_lever_m: PREFERRED_LEVER_SHARE * robot.reach_m(),
             follows_positions: false,
             has_position_only_cost: false,
         };
@@ -143,7 +140,6 @@ impl<'a> TrackingProblem<'a> {
             position: factor * self.settings.position_weight,
             orientation: factor * self.settings.orientation_weight,
             tolerance_rad: self.settings.orientation_tolerance_rad,
-            preferred_lever_m: self.preferred_lever_m,
         }
     }
 
@@ -194,6 +190,7 @@ impl<'a> TrackingProblem<'a> {
             let tip = self.robot.tip_jacobian(shape, &mut jacobian);
             let weights = self.weights(at.index);
             pose_error::residuals(
+                self.robot,
                 &tip,
                 &jacobian,
                 target,
