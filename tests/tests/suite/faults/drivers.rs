@@ -1,15 +1,18 @@
 //! Faults of drivers: a killed driver, and two at once.
 
+use std::process::Output;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use cdcr_client::model::robot_of;
 use cdcr_client::{CommandRefusal, Connection, monotonic_ns};
 use cdcr_controller::robot::Configuration;
-use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
+use cdcr_shared_types::{Status, Telemetry};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{
-    Daemon, TIMEOUT, ask_for, refused, reset_here, until_undisturbed, wait_status, wait_until,
+    Daemon, EndWhenDropped, Place, TIMEOUT, ask_for, load, refused, reset_here, text,
+    until_undisturbed, wait_for, wait_status, wait_until,
 };
 use rustix::process::Signal;
 
@@ -129,15 +132,25 @@ fn a_driver_that_lost_its_zero_is_not_believed_by_a_reset() {
             0,
             &["is refused now: the robot ", elsewhere, remedy],
         );
-        place.checked("cdcrctl reset", 1, &[elsewhere, "section 1 by ", remedy]);
-        place.checked("cdcrctl reset --wait", 1, &[elsewhere, "section 1 by "]);
+        until_printed(
+            place,
+            "cdcrctl reset",
+            1,
+            &[elsewhere, "section 1 by ", remedy],
+        );
+        until_printed(
+            place,
+            "cdcrctl reset --wait",
+            1,
+            &[elsewhere, "section 1 by "],
+        );
         assert_eq!(
             refused(&connection, RequestKind::Reset),
             Outcome::PoseDiffers
         );
         trail.catch_up();
         trail.until("it stays faulted", is(Mode::Faulted));
-        place.checked("cdcrctl reset --accept-pose", 0, &["accepted"]);
+        until_printed(place, "cdcrctl reset --accept-pose", 0, &["accepted"]);
         let accepted =
             "the reset accepted a pose that differs from that of the last command: section 1 by ";
         wait_until("the log names it", || daemon.log().contains(accepted));
@@ -150,55 +163,73 @@ fn a_driver_that_lost_its_zero_is_not_believed_by_a_reset() {
     });
 }
 
+/// Measures a tip that stays, until `ending`.
+fn sense(place: &Place, tip_m: [f64; 3], ending: &AtomicBool) {
+    let connection = load::connect(place);
+    let sensor = connection.tip_sensor().unwrap();
+    while !ending.load(Ordering::Relaxed) {
+        sensor.send(monotonic_ns(), tip_m).unwrap();
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Repeats `line` until it ends with `status` and prints `parts`: while the machine holds up the driver's process, its
+/// lost measurement is the cause that is named.
+fn until_printed(place: &Place, line: &str, status: i32, parts: &[&str]) {
+    let run = || place.start(line).output();
+    let is_it = |output: &Output| {
+        let printed = text(output);
+        output.status.code() == Some(status) && parts.iter().all(|part| printed.contains(part))
+    };
+    wait_for(
+        || format!("{line} never printed {parts:?}: {}", text(&run())),
+        || Some(run()).filter(is_it),
+    );
+}
+
 /// A camera that goes on measuring the tip shows that the zero was lost; nobody can accept the pose before it ends.
 #[test]
 fn a_zero_that_a_tip_sensor_contradicts_is_accepted_by_no_reset() {
     let separate =
         "[link]\nkind = \"driver\"\ntip_sensor = \"separate\"\n[cycle]\nmiss_limit = 1000000\n";
     let daemon = Daemon::start(separate);
-    let (connection, beside, place) = (daemon.connect(), daemon.connect(), daemon.place());
+    let (connection, place) = (daemon.connect(), daemon.place());
     let robot = robot_of(&connection.status(TIMEOUT).unwrap().robot).unwrap();
     let mut bends = vec![0.0; robot.coordinate_count()];
     bends[0] = 1.0;
     let tip_m = robot.tip_position(&Configuration::from_slice(&bends).unwrap());
-    let sensor = beside.tip_sensor().unwrap();
-    let sense = || {
-        sensor.send(monotonic_ns(), tip_m.into()).unwrap();
-        std::thread::sleep(Duration::from_millis(5));
-    };
-    let refused_by = |reason: Reason| {
-        let status = connection.status(TIMEOUT).unwrap();
-        status.reset_refused_by == reason.code()
-    };
-    let driver = DriverProcess::start_at(place, 1.0);
-    wait_until("holding", || {
-        sense();
-        connection.status(TIMEOUT).unwrap().mode == Mode::Holding.code()
+    let refused_by = |status: &Status, reason: Reason| status.reset_refused_by == reason.code();
+    let ending = AtomicBool::new(false);
+    // The sensor measures beside all this: a command may take longer than the second for which its tip counts.
+    let _driver = std::thread::scope(|scope| {
+        let _ends = EndWhenDropped(&ending);
+        scope.spawn(|| sense(place, tip_m.into(), &ending));
+        let driver = DriverProcess::start_at(place, 1.0);
+        wait_status(&connection, |status| status.mode == Mode::Holding.code());
+        driver.signal(Signal::KILL);
+        drop(driver);
+        wait_status(&connection, |status| {
+            refused_by(status, Reason::MeasurementLost)
+        });
+        let driver = DriverProcess::start_at(place, 0.0);
+        wait_status(&connection, |status| {
+            refused_by(status, Reason::TipElsewhere)
+        });
+        let elsewhere = "the tip is measured far from where the bends place it";
+        let remedy = "end the tip sensor, or let the driver send no tips";
+        for line in ["cdcrctl reset", "cdcrctl reset --accept-pose"] {
+            until_printed(place, line, 1, &[elsewhere, remedy]);
+        }
+        until_printed(place, "cdcrctl status", 0, &["mm away", remedy]);
+        let error = "error: the daemon is faulted. ";
+        place.checked("cdcrctl status --check", 1, &[error]);
+        driver
     });
-    driver.signal(Signal::KILL);
-    drop(driver);
-    wait_until("lost", || {
-        sense();
-        refused_by(Reason::MeasurementLost)
-    });
-    let _driver = DriverProcess::start_at(place, 0.0);
-    wait_until("contradicted", || {
-        sense();
-        refused_by(Reason::TipElsewhere)
-    });
-    let elsewhere = "the tip is measured far from where the bends place it";
-    let remedy = "end the tip sensor, or let the driver send no tips";
-    for line in ["cdcrctl reset", "cdcrctl reset --accept-pose"] {
-        sense();
-        place.checked(line, 1, &[elsewhere, remedy]);
-    }
-    sense();
-    place.checked("cdcrctl status", 0, &["mm away", remedy]);
-    let error = "error: the daemon is faulted. ";
-    place.checked("cdcrctl status --check", 1, &[error]);
     // The sensor has ended.
-    wait_until("its second is over", || refused_by(Reason::PoseDiffers));
-    place.checked("cdcrctl reset --accept-pose", 0, &["accepted"]);
+    wait_status(&connection, |status| {
+        refused_by(status, Reason::PoseDiffers)
+    });
+    until_printed(place, "cdcrctl reset --accept-pose", 0, &["accepted"]);
     wait_status(&connection, |status| status.mode == Mode::Holding.code());
     place.checked("cdcrctl status --check --format json", 0, &["holding"]);
 }
@@ -229,10 +260,13 @@ fn an_uncertain_pose_is_uncertain_for_the_next_daemon() {
         let _driver = DriverProcess::start_at(daemon.place(), 0.0);
         differs(&daemon.connect());
         let elsewhere = "is measured far from where its last command left it";
-        daemon.place().checked("cdcrctl reset", 1, &[elsewhere]);
-        daemon
-            .place()
-            .checked("cdcrctl reset --accept-pose", 0, &["accepted"]);
+        until_printed(daemon.place(), "cdcrctl reset", 1, &[elsewhere]);
+        until_printed(
+            daemon.place(),
+            "cdcrctl reset --accept-pose",
+            0,
+            &["accepted"],
+        );
         let accepted = "that differs from that of the last command of the previous daemon";
         wait_until("the log names it", || daemon.log().contains(accepted));
         Some(())
