@@ -190,7 +190,11 @@ fn a_tip_that_an_obstacle_held_returns_at_its_pace_when_it_is_gone() {
                     }
                     begin = Some(*record);
                 }
-                error_m = record.position_error_m;
+                // The last record may be that of a cycle after a stall.
+                error_m =
+                    record
+                        .position_error_m
+                        .min(if is_gone { error_m } else { f64::INFINITY });
             }
             _ => {}
         }
