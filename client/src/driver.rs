@@ -1,6 +1,7 @@
 mod bounds;
 mod commanded;
 mod follower;
+mod load;
 mod measured;
 mod refusal;
 mod section_ends;

@@ -1,8 +1,14 @@
+mod present;
+
 use std::ops::Range;
 
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode};
+use cdcr_shared_types::limits::BEND_TOLERANCE_RAD;
 use cdcr_shared_types::{Command, Measurement, RobotDescription};
 
+use present::Present;
+
+use super::load::Load;
 use super::{CommandRefusal, CommandedPosition, CommandedRates, bounds, section_ends};
 
 /// Rates and positions that a driver applies at any time, from the received commands. Rates expire, positions
@@ -16,6 +22,7 @@ pub struct CommandFollower {
     interface: Interface,
     present: Option<Present>,
     measured: Option<Measurement>,
+    load: Load,
     /// Sender of this driver's own measurements.
     own_id: Option<u64>,
     /// The newest rest that is over.
@@ -31,52 +38,6 @@ struct Rest {
     range_ns: Range<u64>,
     /// Time inside it in which they obeyed \[ns\].
     obeyed_ns: u64,
-}
-
-/// The command in force, with its move.
-#[derive(Debug, Clone, Copy)]
-struct Present {
-    command: Command,
-    begin: CommandedPosition,
-    end: CommandedPosition,
-    /// Offset of the positions from those of the command, since another daemon has taken over, or since a command was
-    /// taken after a gap in Stopped or Faulted.
-    offset: Option<CommandedPosition>,
-    /// Highest speed of the move as a share of the robot's; 1 unless it catches up.
-    pace: f64,
-    /// It makes up for a gap, for longer than a period.
-    catches_up: bool,
-    /// Time at which the command was taken and the move began \[ns\].
-    begin_ns: u64,
-    /// Time at which the move ends \[ns\].
-    end_ns: u64,
-}
-
-impl Present {
-    fn is_of_sender(&self, command: &Command) -> bool {
-        self.command.header.sender_id == command.header.sender_id
-    }
-
-    /// Time from which the motors stand unless another command comes \[ns\].
-    fn stands_from_ns(&self) -> u64 {
-        self.end_ns.min(self.command.valid_until_ns)
-    }
-
-    /// A command at `now_ns` comes after a gap: the present one has expired, or the gap before it is not yet caught up.
-    fn has_gap(&self, now_ns: u64) -> bool {
-        now_ns >= self.command.valid_until_ns || self.catches_up
-    }
-
-    /// Completed part of the move, 0 to 1.
-    fn part(&self, now_ns: u64) -> f64 {
-        if now_ns >= self.end_ns {
-            1.0
-        } else if now_ns <= self.begin_ns {
-            0.0
-        } else {
-            (now_ns - self.begin_ns) as f64 / (self.end_ns - self.begin_ns) as f64
-        }
-    }
 }
 
 /// Upper bound of the duration of a move, which is infinite for a robot without any speed \[s\].
@@ -97,6 +58,7 @@ impl CommandFollower {
             interface,
             present: None,
             measured: None,
+            load: Load::default(),
             own_id: None,
             rested: Rest::default(),
             refusals: 0,
@@ -108,8 +70,15 @@ impl CommandFollower {
     /// position are held until a reset has set the commanded position to theirs. A tip does not count: where
     /// nothing else is measured, any first position is accepted.
     pub fn tell_measured(&mut self, measurement: &Measurement) {
-        if measurement.kind != MeasurementKind::TipPose.code() {
-            self.measured = Some(*measurement);
+        if measurement.kind == MeasurementKind::TipPose.code() {
+            return;
+        }
+        self.measured = Some(*measurement);
+        let measured_ns = measurement.measured_ns;
+        let obeys = |present: &&Present| !rests(&present.command) && !present.has_gap(measured_ns);
+        if let Some(present) = self.present.as_ref().filter(obeys) {
+            self.load
+                .learn(&present.position_at(measured_ns), measurement);
         }
     }
 
@@ -130,7 +99,8 @@ impl CommandFollower {
     /// The reason of a refusal, which is also counted. The present command stays in force until it expires.
     pub fn take(&mut self, command: &Command, now_ns: u64) -> Result<(), CommandRefusal> {
         let begin = self.position_at(now_ns);
-        let offset = self.offset_of(command, begin.as_ref(), now_ns);
+        let stays = self.stays(command, begin.as_ref());
+        let offset = self.offset_of(command, begin.as_ref(), stays, now_ns);
         let commanded = CommandedPosition::from_command(command);
         let end = offset.map_or(commanded, |offset| commanded.plus(&offset));
         if let Err(refusal) = self.check(command, &end, begin.as_ref(), now_ns) {
@@ -165,6 +135,7 @@ impl CommandFollower {
             offset,
             pace: if catches_up { pace } else { 1.0 },
             catches_up,
+            stays,
             begin_ns: now_ns,
             end_ns: command.target_ns.max(arrives_ns),
         });
@@ -247,15 +218,30 @@ impl CommandFollower {
         limit_m_s.max(way_m * 1e9 / takes_ns as f64)
     }
 
+    /// In Holding after a reset: the robot is where its load has kept it beside these motors.
+    fn stays(&self, command: &Command, standing: Option<&CommandedPosition>) -> bool {
+        let is_kept = |present: &Present| {
+            let is_beside = || {
+                let (motors, measured) = (standing?, self.measured.as_ref()?);
+                Some(self.load.keeps(&self.robot, motors, measured))
+            };
+            present.stays || rests(&present.command) && is_beside() == Some(true)
+        };
+        self.interface == Interface::Position
+            && command.mode == Mode::Holding.code()
+            && self.present.as_ref().is_some_and(is_kept)
+    }
+
     /// Offset from the positions of `command`. The positions of another daemon begin where it has measured the
     /// robot. Loaded motors stand elsewhere, and stay there; they move as the positions do.
     ///
-    /// In Holding the commanded position moves only to a robot that is elsewhere. Motors that stand there stay. In
-    /// Stopped and Faulted motors that missed commands do not make up for them.
+    /// In Holding the commanded position moves only to a robot that is elsewhere. Motors that stand there, or that a load
+    /// keeps beside it (`stays`), do not move. In Stopped and Faulted motors that missed commands do not make up for them.
     fn offset_of(
         &self,
         command: &Command,
         standing: Option<&CommandedPosition>,
+        stays: bool,
         now_ns: u64,
     ) -> Option<CommandedPosition> {
         let (present, standing) = (self.present.as_ref()?, standing?);
@@ -266,7 +252,7 @@ impl CommandFollower {
         if !present.is_of_sender(command) {
             return Some(standing.minus(&commanded));
         }
-        if rests(command) && present.has_gap(now_ns) {
+        if stays || rests(command) && present.has_gap(now_ns) {
             let end = present
                 .offset
                 .map_or(commanded, |offset| commanded.plus(&offset));
@@ -336,7 +322,8 @@ impl CommandFollower {
         bounds::check(&self.robot, self.interface, &checked, standing)?;
         match (standing, &self.measured) {
             (None, Some(measured)) if self.interface == Interface::Position => {
-                bounds::check_near(&self.robot, command, measured)
+                let position = CommandedPosition::from_command(command);
+                bounds::check_near(&self.robot, &position, measured, BEND_TOLERANCE_RAD)
             }
             _ => Ok(()),
         }
@@ -398,18 +385,16 @@ impl CommandFollower {
     /// If the next command comes after that time, because the driver hung or commands were lost, the position catches up
     /// at about twice the speed of the commands, inside these limits. In Stopped and Faulted it stays where it stands, and keeps its distance.
     pub fn position_at(&self, now_ns: u64) -> Option<CommandedPosition> {
-        self.present.as_ref().map(|present| {
-            let now_ns = now_ns.min(present.command.valid_until_ns);
-            present.begin.towards(&present.end, present.part(now_ns))
-        })
+        self.present.map(|present| present.position_at(now_ns))
     }
 
     /// Offset of [`position_at`](Self::position_at) from the commanded position; `None` until another daemon
-    /// takes over, or the motors miss commands before one in Stopped or Faulted.
+    /// takes over, the motors miss commands before one in Stopped or Faulted, or a loaded robot is reset.
     ///
     /// The commanded position of a daemon that was started again begins where the robot is measured. A load
     /// separates this from the position of the motors. They do not move to it but keep their distance, until
-    /// [`forget`](Self::forget). The distance shrinks where a reset moves the commanded position to them.
+    /// [`forget`](Self::forget). The distance shrinks where a reset moves the commanded position to them. Motors of a robot
+    /// that a load keeps beside them stay at a reset, too: the distance is then that of the load.
     pub fn offset(&self) -> Option<CommandedPosition> {
         self.present.and_then(|present| present.offset)
     }
@@ -434,6 +419,7 @@ impl CommandFollower {
     /// old position.
     pub fn forget(&mut self) {
         self.present = None;
+        self.load = Load::default();
         self.rested = Rest::default();
     }
 }

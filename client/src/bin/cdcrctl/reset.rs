@@ -42,8 +42,8 @@ fn motion(before: &Status) -> Option<String> {
     let may_move = before.interface == Interface::Position.code() && away_rad > SEEN_RAD;
     may_move.then(|| {
         format!(
-            "note: a section was measured {away_rad:.3} rad from its command. If this is more than {BEND_TOLERANCE_RAD} rad, the commanded position moves to the measured one, \
-             and the motors may move the robot by that much after the reset; --wait waits for rest"
+            "note: a section was measured {away_rad:.3} rad from its command. If this is more than {BEND_TOLERANCE_RAD} rad, the commanded position moves to the measured one. \
+             The motors follow it, and the robot moves by that much, unless a load explains the distance (docs/drivers.md, After a hang); --wait waits for rest"
         )
     })
 }

@@ -1,5 +1,6 @@
 mod first;
 mod gap;
+mod load;
 mod rest;
 mod takeover;
 #[cfg(feature = "model")]

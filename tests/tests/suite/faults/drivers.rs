@@ -6,10 +6,12 @@ use std::time::Duration;
 
 use cdcr_client::model::robot_of;
 use cdcr_client::{CommandRefusal, Connection, monotonic_ns};
+use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::robot::Configuration;
 use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_shared_types::{Status, Telemetry};
 use cdcr_tests::driver::DriverProcess;
+use cdcr_tests::record::largest;
 use cdcr_tests::{
     Daemon, EndWhenDropped, Place, TIMEOUT, ask_for, load, refused, reset_here, text,
     until_undisturbed, wait_for, wait_status, wait_until,
@@ -334,4 +336,50 @@ fn of_two_drivers_the_second_is_refused_until_the_first_is_lost() {
         });
         Some(())
     });
+}
+
+/// Waits until the robot has been held for `cycles`.
+fn hold(trail: &mut Trail, robot: &mut Robot, cycles: u64) {
+    let mut held = 0;
+    let is_over = |record: &Telemetry| {
+        held += u64::from(record.mode == Mode::Holding.code());
+        held > cycles
+    };
+    trail.until_while("held", || robot.turn(), is_over);
+}
+
+/// Motors that droop: the commanded position moves to the measured one at each reset, and the motors stay.
+#[test]
+fn a_robot_that_sags_stays_where_it_is_at_every_reset() {
+    let case = || {
+        let daemon = daemon(Interface::Position);
+        let connection = daemon.connect();
+        let sagging = Flaws {
+            droop_m: 2e-3,
+            ..RobotPreset::Laboratory.flaws()
+        };
+        let mut trail = Trail::new(&connection);
+        let mut robot = Robot::with_flaws(&connection, 1.0, sagging);
+        robot.until_held(&mut trail);
+        hold(&mut trail, &mut robot, 1000);
+        let before_rad = robot.sensed_rad();
+        for number in 1..=3 {
+            ask_for(&connection, RequestKind::Stop);
+            let (_, stopped) = trail.until_while("stopped", || robot.turn(), is(Mode::Stopped));
+            let sag_rad = largest(&stopped.following_error_rad);
+            reset_here(&connection);
+            hold(&mut trail, &mut robot, 400);
+            let now_rad = robot.sensed_rad();
+            let moved_rad = (0..12).fold(0.0_f64, |most, i| {
+                most.max((now_rad[i] - before_rad[i]).abs())
+            });
+            println!(
+                "reset {number}: {sag_rad:.3} rad beside the command, moved by {moved_rad:.4} rad"
+            );
+            assert!(number > 1 || sag_rad > 0.06, "{sag_rad}");
+            assert!(moved_rad < 0.02, "{moved_rad}");
+        }
+        Some(())
+    };
+    until_undisturbed("a robot that sags", || unless_kept(case));
 }
