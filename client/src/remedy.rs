@@ -14,7 +14,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::NotFinite => "Remove NaN and infinite numbers from the message.",
         Outcome::InThePast => {
             "The message came too late, or sender or daemon stalled. Send it again with the present time. Reference: start later (--lead) or send further ahead. Measurement: send it \
-             within link.measurement_timeout_ms of its time stamp (CLOCK_MONOTONIC, ns), or raise that key above the delay of a slow sensor, such as a camera."
+             within link.measurement_timeout_ms of its time stamp (CLOCK_MONOTONIC, ns), or raise that key above the delay of a slow sensor; for a tip beside bends or cables link.tip_age_max_ms."
         }
         Outcome::InTheFuture => {
             "Stamp messages with CLOCK_MONOTONIC of the daemon's host, in ns, not ahead of now. The wall clock (Python: time.time_ns) is years ahead of it."

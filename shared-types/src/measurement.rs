@@ -14,7 +14,7 @@ message! {
     ///
     /// One driver has the robot: the first whose measurement was accepted, by its `header.sender_id`, until it is lost.
     /// Measurements of another driver are rejected (likewise of another tip sensor), and so are those older than
-    /// `link.measurement_timeout_ms` on arrival.
+    /// `link.measurement_timeout_ms` on arrival, for a tip beside bends or cables `link.tip_age_max_ms`.
     pub struct Measurement "cdcr.Measurement.v3" {
         /// Sender, sequence, time of sending.
         header: Header,

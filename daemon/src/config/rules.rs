@@ -81,6 +81,7 @@ fn check_times(
         ("realtime.spin_us", spin_min_us, 1e3 * half_ms),
         // The estimator remembers 128 periods, and measurements have an age.
         ("actuator.delay_ms", 0.0, 64.0 * period_ms),
+        ("link.tip_age_max_ms", 0.0, 100.0 * period_ms),
     ] {
         let number = numbers.iter().find(|(known, ..)| known == key);
         let (_, _, value) = *number.expect("a number of the configuration");

@@ -18,6 +18,8 @@ pub(super) struct Measurements {
     interface: Interface,
     /// A measurement older than this at its arrival is refused \[ns\].
     timeout_ns: u64,
+    /// The same for a tip beside bends or cables \[ns\].
+    tip_age_max_ns: u64,
     driver: BoundSender,
     /// Number of drivers so far.
     drivers: u64,
@@ -72,6 +74,10 @@ impl Measurements {
             has_driver: config.link.kind == LinkKind::Driver,
             interface: config.link.interface,
             timeout_ns,
+            tip_age_max_ns: match ns(config.link.tip_age_max_ms) {
+                0 => timeout_ns,
+                age_ns => age_ns,
+            },
             driver: BoundSender::new(timeout_ns),
             drivers: 0,
             driver_since_ns: 0,
@@ -232,7 +238,12 @@ impl Measurements {
         }
         let interface = convert::interface(self.interface);
         let timed = convert::measurement(message, robot, interface, arrival.now_ns)?;
-        if arrival.now_ns.saturating_sub(timed.measured_ns) > self.timeout_ns {
+        let is_beside = self.tip_sensor.is_some() || self.has_bends;
+        let age_max_ns = match timed.measurement {
+            Measured::TipPosition(_) if is_beside => self.tip_age_max_ns,
+            _ => self.timeout_ns,
+        };
+        if arrival.now_ns.saturating_sub(timed.measured_ns) > age_max_ns {
             return Err(Refused::whole(Outcome::InThePast));
         }
         // Later, cables that run free are a fault of their own (`safety::CommonModeWatch`).

@@ -6,8 +6,8 @@ use super::LATE_LINE_EVERY;
 use crate::handover::{RefusedTips, Summary};
 
 /// Of a tip that arrives, too late: a camera with a long delay.
-const LATE: &str = "arrived later than link.measurement_timeout_ms after its time stamp: raise that key above the delay of the sensor, or correct \
-    its stamps (CLOCK_MONOTONIC, in ns)";
+const LATE: &str = "arrived later than link.tip_age_max_ms (0: link.measurement_timeout_ms, as without bends) after its time stamp: raise that key above the delay of \
+    the sensor, or correct its stamps (CLOCK_MONOTONIC, in ns)";
 
 /// What the log has to say about refused messages: the first one for each reason, and first bends whenever a tip begins to
 /// contradict them.

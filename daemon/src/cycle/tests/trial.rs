@@ -3,6 +3,7 @@
 pub(super) mod losing;
 
 use std::cell::Cell;
+use std::collections::VecDeque;
 use std::path::Path;
 
 use cdcr_controller::estimator::Measurement;
@@ -78,6 +79,10 @@ pub(super) struct Trial {
     pub(super) tip_error_m: Vector3<f64>,
     /// Axes of the base in the frame of the tip sensor.
     pub(super) tip_axes: Matrix3<f64>,
+    /// Cycles from the measurement of a tip to its arrival.
+    pub(super) tip_age_cycles: usize,
+    /// Tips on their way, oldest first.
+    tips: VecDeque<TimedMeasurement>,
     /// Constant position reported by a frozen tip sensor.
     pub(super) frozen_tip_m: Option<Vector3<f64>>,
     pub(super) inputs: CycleInputs,
@@ -141,6 +146,8 @@ impl Trial {
             measures_tip_alone: false,
             tip_error_m: Vector3::zeros(),
             tip_axes: Matrix3::identity(),
+            tip_age_cycles: 0,
+            tips: VecDeque::new(),
             frozen_tip_m: None,
             lead_ns: ns(validated.config.actuator.lead_ms()),
             inputs,
@@ -209,13 +216,16 @@ impl Trial {
             rested_ns: self.stated_ns(release_ns - MEASURED_BEFORE_NS),
         });
         if self.measures_tip {
-            self.inputs.tip = Some(TimedMeasurement {
+            self.tips.push_back(TimedMeasurement {
                 measurement: Measurement::TipPosition(self.frozen_tip_m.unwrap_or_else(|| {
                     self.tip_axes * self.plant.measure_tip().unwrap() + self.tip_error_m
                 })),
                 measured_ns: release_ns - MEASURED_BEFORE_NS,
                 rested_ns: [0; 2],
             });
+            while self.tips.len() > self.tip_age_cycles {
+                self.inputs.tip = self.tips.pop_front();
+            }
         }
     }
 

@@ -11,6 +11,8 @@ struct Rig {
     desk: Measurements,
     robot: Robot,
     now_ns: u64,
+    /// Of a measurement at its arrival \[ns\].
+    age_ns: u64,
 }
 
 impl Rig {
@@ -21,6 +23,7 @@ impl Rig {
             desk: Measurements::new(&validated.config),
             robot: validated.robot,
             now_ns: 1_000_000_000,
+            age_ns: 0,
         }
     }
 
@@ -41,7 +44,7 @@ impl Rig {
                 sender_id,
                 ..Header::default()
             },
-            measured_ns: self.now_ns,
+            measured_ns: self.now_ns - self.age_ns,
             kind: kind.code(),
             interface: Interface::Velocity.code(),
             sections: 3,
@@ -210,6 +213,33 @@ fn a_tip_sensor_and_a_driver_are_bound_each_for_itself() {
     rig.now_ns += TIP_SENSOR_LOST_NS;
     rig.desk.extend(TIP_SENSOR_LOST_NS);
     assert_eq!(rig.take(2, TIP), Outcome::OtherDriver);
+}
+
+/// A camera needs longer than encoders may.
+#[test]
+fn a_tip_beside_bends_has_a_largest_age_of_its_own() {
+    let slow = "tip_age_max_ms = 150.0\n";
+    for more in [
+        slow.to_owned(),
+        format!("tip_sensor = \"separate\"\n{slow}"),
+    ] {
+        let mut rig = Rig::new(&more);
+        let camera = if more == slow { 1 } else { 2 };
+        rig.accept(1, BENDS);
+        for (age_ms, kind, outcome) in [
+            (149, TIP, Outcome::Accepted),
+            (151, TIP, Outcome::InThePast),
+            (60, BENDS, Outcome::InThePast),
+        ] {
+            rig.age_ns = 1_000_000 * age_ms;
+            let sender = if kind == TIP { camera } else { 1 };
+            assert_eq!(rig.take(sender, kind), outcome, "{age_ms} ms");
+        }
+    }
+    // A driver that measures the tip alone has no bends beside it.
+    let mut rig = Rig::new(slow);
+    rig.age_ns = 60_000_000;
+    assert_eq!(rig.take(1, TIP), Outcome::InThePast);
 }
 
 #[test]
