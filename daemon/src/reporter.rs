@@ -133,11 +133,11 @@ impl Reporter {
             if matches!(assignment, CauseAssignment::Own(_)) || begins_fault {
                 self.forward_incident(shared);
             }
-            let sensed = [&record.tip_measurement, &record.measurement];
             self.measured_error.take(
                 record.release.release_ns,
                 convert::reference_position_m(record),
-                sensed.into_iter().flatten(),
+                (record.tip_measurement.as_ref(), record.tip_unused),
+                record.measurement.as_ref(),
             );
             match record.tip_use {
                 MeasurementUse::Implausible => {

@@ -24,6 +24,9 @@ SHAPES = 4
 
 # A tip sensor that has measured nothing for this long is silent.
 SILENT_NS = 1_000_000_000
+# TipCause on the wire, and after so many tips beyond the limit in a row the sensor counts as wrong.
+FAR, JUMPS = 1, 3
+FAR_LIMIT = 3
 
 OFFSET_M = 1e-4
 """A larger distance of the tip from the end of the shape is drawn."""
@@ -148,8 +151,9 @@ def _shown(source: Source, seconds: float) -> _Shown:
     # Without a reference the error is not a number, and the position of none is zero.
     has_reference = np.isfinite(source["position_error_m"])
     sections = int(source["robot"]["sections"][0])
-    measured_ns, measured_error_m = _measured_error(source, has_reference)
-    unused = ((source["tip_cause"] != 0) | _is_silent(source))[has_reference]
+    is_stray = _is_stray(source)
+    measured_ns, measured_error_m = _measured_error(source, has_reference, is_stray)
+    unused = ((source["tip_cause"] != 0) & ~is_stray | _is_silent(source))[has_reference]
     return _Shown(
         robot=_robot(source["robot"][0]),
         time_s=1e-9 * (source["release_ns"] - source["release_ns"][0]).astype(float),
@@ -175,10 +179,26 @@ def _is_silent(source: Records) -> np.ndarray:
     return (tip_ns > 0) & (silent_ns[measurement] > SILENT_NS)
 
 
-def _measured_error(source: Records, has_reference: np.ndarray) -> tuple[Doubles, Doubles]:
-    """When the tip was measured [ns], and how far from where its reference was then."""
+def _is_stray(source: Records) -> np.ndarray:
+    """Where the newest measured tip is one that the daemon refused, and fewer in a row than make a wrong sensor, as in cdcrctl."""
+    cause, tip_ns, release_ns = source["tip_cause"], source["tip_measured_ns"], source["release_ns"].astype(np.int64)
+    is_refused = cause != 0
+    # Cycles without another cause between them are one run.
+    run = np.cumsum(np.diff(is_refused, prepend=False))
+    is_new = is_refused & (np.diff(tip_ns, prepend=np.uint64(0)) != 0)
+    first = np.flatnonzero(np.diff(run, prepend=-1))[np.unique(run, return_inverse=True)[1]]
+    before = np.cumsum(is_new) - is_new
+    in_a_row = np.cumsum(is_new) - before[first]
+    limit = np.where(cause == FAR, FAR_LIMIT, np.where(cause == JUMPS, source["measurement_jump_limit"], 0))
+    lasts = (in_a_row > 1) & (release_ns - release_ns[first] > SILENT_NS)
+    is_wrong = is_refused & ((in_a_row >= limit) | lasts)
+    return is_refused & (np.bincount(run, weights=is_wrong)[run] == 0)
+
+
+def _measured_error(source: Records, has_reference: np.ndarray, is_stray: np.ndarray) -> tuple[Doubles, Doubles]:
+    """When the tip was measured [ns], and how far from where its reference was then. Stray tips are left out."""
     tip_ns = source["tip_measured_ns"]
-    new = np.flatnonzero(np.diff(tip_ns, prepend=tip_ns[:1]) > 0)
+    new = np.flatnonzero((np.diff(tip_ns, prepend=tip_ns[:1]) > 0) & ~is_stray)
     release_ns = source["release_ns"]
     after = np.searchsorted(release_ns, tip_ns[new])
     inside = (after > 0) & (after < len(source))

@@ -153,6 +153,24 @@ def test_the_error_without_the_measured_tip_is_named_so(recording: Path) -> None
     plt.close("all")
 
 
+def test_stray_tips_are_no_measured_error(recording: Path) -> None:
+    telemetry = cdcr.read(recording)["telemetry"].copy()
+    telemetry["tip_measured_ns"] = telemetry["release_ns"]
+    telemetry["tip_measured_m"] = telemetry["reference"]["position_m"] + [0.0, 0.001, 0.0]
+    telemetry["measurement_jump_limit"] = 3
+    tracked = np.flatnonzero(np.isfinite(telemetry["position_error_m"]))
+    strays = tracked[len(tracked) // 2 :][[0, 1, 3, 7]]
+    telemetry["tip_cause"][strays] = [3, 3, 1, 3]
+    telemetry["tip_measured_m"][strays] += 0.3
+    drawn, measured = plot.error(telemetry).get_lines()
+    assert drawn.get_label() == "estimated" and np.allclose(measured.get_ydata(), 1.0)
+    # As many in a row as the daemon takes for a wrong sensor.
+    telemetry["tip_cause"][strays[1] + 1] = 4
+    drawn, measured = plot.error(telemetry).get_lines()
+    assert "by the model" in drawn.get_label() and np.max(measured.get_ydata()) > 300.0
+    plt.close("all")
+
+
 def test_each_figure_is_drawn_of_each_source(recording: Path) -> None:
     robot = cdcr.Robot()
     daemon = Daemon()

@@ -1,10 +1,10 @@
 use cdcr_controller::estimator::Measurement;
 use nalgebra::Vector3;
 
-use crate::handover::TimedMeasurement;
+use crate::handover::{TimedMeasurement, TipCause};
 
 /// Distance of the tip from its reference, as measured by a tip sensor: includes the error of the model and
-/// the noise of the sensor.
+/// the noise of the sensor, without measurements that jump one by one.
 #[derive(Debug)]
 pub(super) struct MeasuredError {
     /// The newest release \[ns\], and the reference at that time \[m\]; NaN without one.
@@ -31,18 +31,21 @@ impl MeasuredError {
         self.distance_m
     }
 
-    /// Takes a cycle with its reference \[m\] (NaN: none) and its newest measurements. A measurement is older
-    /// than the release: its reference is interpolated linearly from those of the last two releases.
-    pub(super) fn take<'a>(
+    /// Takes a cycle with its reference \[m\] (NaN: none) and its newest measurements: of the tip beside bends or cables,
+    /// and why that is not used, and of the driver. A measurement is older than the release: its reference is interpolated
+    /// linearly from those of the last two releases.
+    pub(super) fn take(
         &mut self,
         release_ns: u64,
         reference_m: Vector3<f64>,
-        measurements: impl IntoIterator<Item = &'a TimedMeasurement>,
+        (tip, unused): (Option<&TimedMeasurement>, Option<TipCause>),
+        driver: Option<&TimedMeasurement>,
     ) {
         let period_ns = release_ns.saturating_sub(self.release_ns).max(1) as f64;
         let moved_m = reference_m - self.reference_m;
         (self.release_ns, self.reference_m) = (release_ns, reference_m);
-        for timed in measurements {
+        let tip = tip.filter(|_| unused != Some(TipCause::Jumps));
+        for timed in tip.into_iter().chain(driver) {
             let Measurement::TipPosition(tip_m) = timed.measurement else {
                 continue;
             };
@@ -71,8 +74,8 @@ mod tests {
             rested_ns: [0; 2],
         };
         let mut error = MeasuredError::default();
-        let mut distance_m = |release_ns, reference_m, timed| {
-            error.take(release_ns, reference_m, &timed);
+        let mut distance_m = |release_ns, reference_m, timed: Option<TimedMeasurement>| {
+            error.take(release_ns, reference_m, (None, None), timed.as_ref());
             error.distance_m()
         };
         assert!(distance_m(100, at(0.1), None).is_nan());
@@ -84,5 +87,29 @@ mod tests {
         assert!((still_m - 0.02).abs() < 1e-12, "{still_m}");
         let none_m = Vector3::repeat(f64::NAN);
         assert!(distance_m(130, none_m, Some(measured(125, 0.3))).is_nan());
+    }
+
+    #[test]
+    fn a_stray_tip_has_no_error() {
+        let mut error = MeasuredError::default();
+        let reference_m = Vector3::new(0.1, 0.0, 0.5);
+        error.take(100, reference_m, (None, None), None);
+        for (release_ns, x_m, unused, known_m) in [
+            (110, 0.11, None, 0.01),
+            (120, 0.4, Some(TipCause::Jumps), 0.01),
+            (130, 0.4, Some(TipCause::Far), 0.3),
+        ] {
+            let tip = TimedMeasurement {
+                measurement: Measurement::TipPosition(Vector3::new(x_m, 0.0, 0.5)),
+                measured_ns: release_ns,
+                rested_ns: [0; 2],
+            };
+            error.take(release_ns, reference_m, (Some(&tip), unused), None);
+            let distance_m = error.distance_m();
+            assert!(
+                (distance_m - known_m).abs() < 1e-12,
+                "{distance_m} {unused:?}"
+            );
+        }
     }
 }

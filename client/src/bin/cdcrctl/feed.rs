@@ -165,9 +165,10 @@ pub(crate) fn go(
         return Ok(Done::Good);
     }
     check_stands(connection, &before)?;
-    let (done, error) = follow(connection, &way, options, |_| Ok(()))?;
+    let (done, mut error) = follow(connection, &way, options, |_| Ok(()))?;
     if done == Done::Good {
         let end = newest(connection)?;
+        error.take(&end);
         let cause = unmeasured_tip::cause(&connection.status(STATUS_TIMEOUT)?, &end);
         way_end::print(&end, cause, &error, goal_m, arguments.max_error)?;
     }

@@ -1,15 +1,18 @@
+mod frames;
+mod measured;
 mod silence;
 
-use std::collections::VecDeque;
 use std::io::Write;
 
 use anyhow::{Context, bail};
-use cdcr_client::section_lengths_m;
+use cdcr_client::{counted, section_lengths_m};
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{Mode, ReferenceState, TipCause, guard};
+use cdcr_shared_types::codes::{Mode, ReferenceState, guard};
 
 use crate::bend_limit::BendShare;
-use crate::unmeasured_tip::{SILENT_NS, silence_ns};
+use crate::unmeasured_tip::SILENT_NS;
+use frames::Frames;
+use measured::{Measured, Sums};
 use silence::Silence;
 
 /// Distance between tip and reference while the robot tracked. The approach is counted separately.
@@ -37,6 +40,7 @@ pub(crate) struct TipError {
     arrived: bool,
     /// The largest estimated error after an arrival.
     farthest: Farthest,
+    frames: Frames,
     measured: Measured,
     silence: Silence,
     /// Why the final error is by the model, if it is.
@@ -53,28 +57,6 @@ struct Farthest {
     point_m: [f64; 3],
 }
 
-/// The error according to a tip sensor, which has noise but no model: it includes errors of the estimate.
-#[derive(Debug, Default)]
-struct Measured {
-    /// Reference at the newest releases \[ns, m\], oldest first.
-    reference: VecDeque<(u64, [f64; 3])>,
-    /// The cycles since then did not track it: the next one begins anew.
-    is_left: bool,
-    newest_ns: u64,
-    /// Time between the last two measurements \[ns\]; 0 before the second one.
-    interval_ns: u64,
-    /// The newest error that was computed, and the time of its measurement \[m, ns\].
-    error_m: f64,
-    error_ns: u64,
-    count: u64,
-    sum_m: f64,
-    max_m: f64,
-}
-
-/// A tip measurement of this age belongs to the path, not to its end, unless the sensor is slow \[ns\].
-const FRESH_NS: u64 = 100_000_000;
-/// The newest measurement of a slow sensor is up to an interval old, and late in addition.
-const FRESH_INTERVALS: u64 = 2;
 /// Without a limit, a reference that ends with the tip farther away was not followed \[m\]: a robot that lags
 /// 0.1 s behind at 0.2 m/s is as far away.
 pub(crate) const ENDED_OFF_M: f64 = 0.02;
@@ -88,12 +70,6 @@ const BESIDE: f64 = 0.02;
 /// Whether the tip follows the reference itself, after the approach.
 pub(crate) fn is_along(record: &Telemetry) -> bool {
     record.mode == Mode::Tracking.code() && is_inside(record) && !is_approach(record)
-}
-
-/// Whether the newest measured tip is not in use, or the sensor silent since then: tip and error are those of the model.
-pub(crate) fn is_by_model(record: &Telemetry) -> bool {
-    record.tip_cause != TipCause::None.code()
-        || silence_ns(record.release_ns, record.tip_measured_ns).is_some()
 }
 
 fn is_inside(record: &Telemetry) -> bool {
@@ -112,60 +88,6 @@ fn is_beside_obstacle(record: &Telemetry) -> bool {
         || record.obstacle_count > 0 && record.clearance_m <= near_m
 }
 
-/// Number of kept releases: enough for a sensor that is half a second late at 5 ms.
-const REMEMBERED: usize = 100;
-
-impl Measured {
-    fn take(&mut self, record: &Telemetry) {
-        if core::mem::take(&mut self.is_left) {
-            self.reference.clear();
-        } else if self.reference.len() == REMEMBERED {
-            self.reference.pop_front();
-        }
-        let here = (record.release_ns, record.reference.position_m);
-        self.reference.push_back(here);
-        let tip_ns = record.tip_measured_ns;
-        if tip_ns <= self.newest_ns {
-            return;
-        }
-        if self.newest_ns > 0 {
-            self.interval_ns = tip_ns - self.newest_ns;
-        }
-        self.newest_ns = tip_ns;
-        let after = self
-            .reference
-            .partition_point(|(time_ns, _)| *time_ns < tip_ns);
-        let Some([(from_ns, from_m), (to_ns, to_m)]) = after
-            .checked_sub(1)
-            .and_then(|before| Some([*self.reference.get(before)?, *self.reference.get(after)?]))
-        else {
-            return;
-        };
-        let share = (tip_ns - from_ns) as f64 / (to_ns - from_ns) as f64;
-        let square: f64 = (0..3)
-            .map(|i| {
-                let reference_m = from_m[i] + share * (to_m[i] - from_m[i]);
-                (record.tip_measured_m[i] - reference_m).powi(2)
-            })
-            .sum();
-        (self.error_m, self.error_ns) = (square.sqrt(), tip_ns);
-        self.count += 1;
-        self.sum_m += self.error_m;
-        self.max_m = self.max_m.max(self.error_m);
-    }
-
-    /// The newest error, while the sensor measures: it does not belong to a later place of the reference.
-    fn newest_m(&self) -> Option<f64> {
-        let (now_ns, _) = self.reference.back()?;
-        let is_fresh = now_ns.saturating_sub(self.error_ns) < self.fresh_ns();
-        (self.count > 0 && is_fresh).then_some(self.error_m)
-    }
-
-    fn fresh_ns(&self) -> u64 {
-        FRESH_NS.max(self.interval_ns.saturating_mul(FRESH_INTERVALS))
-    }
-}
-
 impl TipError {
     /// For a reference that is fed from now on \[ns\].
     pub(crate) fn since(fed_ns: u64) -> Self {
@@ -177,6 +99,7 @@ impl TipError {
 
     /// Adds a record, if its cycle tracked.
     pub(crate) fn take(&mut self, record: &Telemetry) {
+        let frame = self.frames.take(record);
         if record.mode != Mode::Tracking.code() || record.release_ns < self.fed_ns {
             self.measured.is_left = true;
             return;
@@ -189,19 +112,19 @@ impl TipError {
         } else if is_inside(record) && record.release_ns >= self.start_ns {
             self.cycles += 1;
             self.limited_cycles += u64::from(record.guard_flags != 0);
-            self.unused_cycles += self.silence.take(record);
+            self.unused_cycles += self.silence.take(record, &self.frames);
             self.sum_m += record.position_error_m;
             self.max_m = self.max_m.max(record.position_error_m);
             self.final_m = record.position_error_m;
             self.at_limit = BendShare::at_limit_of(record);
             self.take_farthest(record);
-            self.measured.take(record);
+            self.measured.take(record, frame);
             // Until its interval is known, a sensor may be slow.
             let fresh_ns = match self.measured.interval_ns {
                 0 => SILENT_NS,
                 _ => self.measured.fresh_ns(),
             };
-            self.final_by_model = self.silence.present_cause(record, fresh_ns);
+            self.final_by_model = self.silence.present_cause(record, &self.frames, fresh_ns);
         }
     }
 
@@ -233,9 +156,18 @@ impl TipError {
         self.at_limit
     }
 
-    /// A tip measurement of this age belongs to the path, not to its end \[ns\].
-    pub(crate) fn fresh_ns(&self) -> u64 {
-        self.measured.fresh_ns()
+    /// Whether the measured tip was refused for longer, or its sensor silent, in this record, which was taken last: tip and
+    /// error are those of the model.
+    pub(crate) fn is_by_model(&self, record: &Telemetry) -> bool {
+        self.frames.is_by_model(record.release_ns)
+    }
+
+    /// When and where the tip was measured last, stray tips left out, and whether that belongs to this record, not to the
+    /// path before it \[ns, m\].
+    pub(crate) fn measured_tip(&self, record: &Telemetry) -> Option<(u64, [f64; 3], bool)> {
+        let (measured_ns, tip_m) = self.frames.kept()?;
+        let is_fresh = record.release_ns < measured_ns + self.measured.fresh_ns();
+        Some((measured_ns, tip_m, is_fresh))
     }
 
     /// Prints the error, and fails if the estimated or measured one exceeds `limit_m`; without a limit, if the
@@ -294,6 +226,9 @@ impl TipError {
                 "measured by the tip sensor: mean {mean:.3}, max {max:.3} mm in {count} measurements, noise included"
             )?;
         }
+        if let Some(strays) = self.strays_text() {
+            writeln!(std::io::stdout(), "{strays}")?;
+        }
         if let Some(note) = self.unmeasured_note() {
             writeln!(std::io::stdout(), "{note}")?;
         }
@@ -337,13 +272,24 @@ impl TipError {
 
     /// Mean and maximum of the measured error \[m\], and the number of measurements; `None` without one.
     pub(crate) fn measured_mean_max_m(&self) -> Option<([f64; 2], u64)> {
-        let Measured {
+        let Sums {
             count,
             sum_m,
             max_m,
-            ..
-        } = self.measured;
+        } = self.measured.sums();
         (count > 0).then_some(([sum_m / count as f64, max_m], count))
+    }
+
+    /// Tips that the daemon refused one by one.
+    pub(crate) fn strays(&self) -> u64 {
+        self.measured.strays()
+    }
+
+    /// Names them; `None` without one.
+    pub(crate) fn strays_text(&self) -> Option<String> {
+        let strays = self.strays();
+        let them = counted(strays, "stray measurement");
+        (strays > 0).then(|| format!("{them} of the tip refused and left out"))
     }
 
     /// The newest measured error of a reference that is being tracked \[m\].
@@ -384,8 +330,9 @@ impl TipError {
             "no cycle tracked the reference, so --max-error cannot be checked: use --track",
         )?;
         // Errors of the estimate appear in the measured error only.
-        let (by, max_m) = if self.measured.max_m > self.max_m {
-            (" as measured", self.measured.max_m)
+        let measured_max_m = self.measured.sums().max_m;
+        let (by, max_m) = if measured_max_m > self.max_m {
+            (" as measured", measured_max_m)
         } else {
             ("", self.max_m)
         };

@@ -10,7 +10,8 @@ use crate::standing::distance_m;
 use crate::tip_error::TipError;
 
 /// Prints the final distance to the point, estimated and, while it is fresh, measured; fails when either exceeds `limit_m`,
-/// and names the bend limit at which the way ended. `unmeasured`: why the estimate is that of the model.
+/// and names the bend limit at which the way ended. `unmeasured`: why the estimate is that of the model, unless that is a stray
+/// measurement. `way` has taken the records up to `end`.
 pub(crate) fn print(
     end: &Telemetry,
     unmeasured: Option<String>,
@@ -20,13 +21,23 @@ pub(crate) fn print(
 ) -> anyhow::Result<()> {
     let estimated_m = distance_m(end.tip_position_m, goal_m);
     let (mut largest_m, mut by) = (estimated_m, String::new());
-    if end.release_ns < end.tip_measured_ns + way.fresh_ns() {
-        let measured_m = distance_m(end.tip_measured_m, goal_m);
-        largest_m = largest_m.max(measured_m);
-        by = format!(" ({:.3} mm as measured)", 1e3 * measured_m);
+    let mut cause = unmeasured;
+    if let Some((measured_ns, tip_m, is_fresh)) = way.measured_tip(end) {
+        if is_fresh {
+            let measured_m = distance_m(tip_m, goal_m);
+            largest_m = largest_m.max(measured_m);
+            by = format!(" ({:.3} mm as measured)", 1e3 * measured_m);
+        }
+        if !way.is_by_model(end) {
+            let age_s = end.release_ns.saturating_sub(measured_ns) as f64 * 1e-9;
+            cause = (!is_fresh).then(|| format!("the tip was measured last {age_s:.2} s before"));
+        }
     }
-    if let Some(cause) = unmeasured {
+    if let Some(cause) = cause {
         by = format!(" by the model{by}; {cause}");
+    }
+    if let Some(strays) = way.strays_text() {
+        by = format!("{by}; {strays}");
     }
     let left = 1e3 * estimated_m;
     if largest_m > limit_m {
@@ -46,7 +57,7 @@ pub(crate) fn print(
 
 #[cfg(test)]
 mod tests {
-    use cdcr_shared_types::codes::{Mode, ReferenceState};
+    use cdcr_shared_types::codes::{Mode, ReferenceState, TipCause};
 
     use super::*;
 
@@ -59,8 +70,13 @@ mod tests {
             tip_measured_ns: 995_000_000,
             ..Telemetry::default()
         };
+        let taken = |end: &Telemetry| {
+            let mut way = TipError::default();
+            way.take(end);
+            way
+        };
         let check = |end: &Telemetry, x_m: f64, limit_m: f64| {
-            print(end, None, &TipError::default(), [x_m, 0.0, 0.8], limit_m)
+            print(end, None, &taken(end), [x_m, 0.0, 0.8], limit_m)
         };
         let text = check(&end, 0.1, 0.002).expect_err("measured beside");
         let text = text.to_string();
@@ -70,8 +86,9 @@ mod tests {
         );
         assert!(check(&end, 0.1, 0.004).is_ok());
         let cause = Some("the measured tip is not in use".to_owned());
-        let text = print(&end, cause, &TipError::default(), [0.1, 0.0, 0.8], 0.002)
-            .expect_err("measured beside");
+        end.tip_cause = TipCause::Frozen.code();
+        let text =
+            print(&end, cause, &taken(&end), [0.1, 0.0, 0.8], 0.002).expect_err("measured beside");
         let text = text.to_string();
         assert!(
             text.contains("0.000 mm from the point by the model (3.000 mm as measured); the measured tip is not in use, more"),
@@ -81,6 +98,42 @@ mod tests {
         end.tip_measured_ns = 800_000_000;
         assert!(check(&end, 0.1, 0.002).is_ok());
         assert!(check(&end, 0.103, 0.002).is_err());
+    }
+
+    /// The last of the measurements may be a stray one, or be lost.
+    #[test]
+    fn a_stray_tip_does_not_decide_the_end_of_a_way() {
+        let mut end = Telemetry {
+            tip_position_m: [0.1, 0.0, 0.8],
+            measurement_jump_limit: 3,
+            mode: Mode::Tracking.code(),
+            ..Telemetry::default()
+        };
+        end.reference.state = ReferenceState::Inside.code();
+        let mut way = TipError::default();
+        for (frame, x_m, cause) in [(1, 0.1005, TipCause::None), (2, 0.25, TipCause::Jumps)] {
+            end.tip_measured_ns = 1_000_000_000 + frame * 33_000_000;
+            end.release_ns = end.tip_measured_ns + 5_000_000;
+            (end.tip_measured_m, end.tip_cause) = ([x_m, 0.0, 0.8], cause.code());
+            way.take(&end);
+        }
+        let text = |end: &Telemetry| {
+            let cause = Some("the measured tip is not in use".to_owned());
+            let failed = print(end, cause, &way, [0.104, 0.0, 0.8], 0.003);
+            failed.expect_err("by 4 mm").to_string()
+        };
+        let found = text(&end);
+        let (measured, strays) = (
+            "the tip is 4.000 mm from the point (3.500 mm as measured); ",
+            "1 stray measurement of the tip refused and left out, more",
+        );
+        assert!(found.starts_with(&format!("{measured}{strays}")), "{found}");
+        end.release_ns += 95_000_000;
+        let found = text(&end);
+        assert!(
+            found.contains("by the model; the tip was measured last 0.13 s before; 1 stray"),
+            "{found}"
+        );
     }
 
     #[test]

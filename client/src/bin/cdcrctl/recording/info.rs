@@ -13,7 +13,7 @@ use super::topic::Topic;
 use crate::Done;
 use crate::args::{Format, InfoOptions};
 use crate::interrupt::Interrupt;
-use crate::tip_error::{TipError, is_along, is_by_model};
+use crate::tip_error::{TipError, is_along};
 
 pub(crate) fn run(options: &InfoOptions) -> anyhow::Result<Done> {
     if options.repair {
@@ -121,11 +121,12 @@ impl Seen {
             .filter(|event| event.outcome != 0);
         self.refused += refused.count() as u64;
         self.error.take(record);
+        let by_model = self.error.is_by_model(record);
         let keep = |kept: &mut Option<(f64, u64, bool)>,
                     value_m: f64,
                     is_beyond: fn(&f64, &f64) -> bool| {
             if value_m.is_finite() && kept.is_none_or(|(old_m, ..)| is_beyond(&value_m, &old_m)) {
-                *kept = Some((value_m, record.cycle, is_by_model(record)));
+                *kept = Some((value_m, record.cycle, by_model));
             }
         };
         if record.mode == Mode::Tracking.code() {
@@ -186,6 +187,7 @@ impl Seen {
                 "as measured after the approach: mean {mean_mm}, largest {max_mm} mm"
             ));
         }
+        lines.extend(self.error.strays_text());
         if let Some(percent) = self.error.unused_percent() {
             lines.push(format!(
                 "the measured tip was not in use for {percent:.1} % of that time"
@@ -225,6 +227,7 @@ impl Seen {
             "largest_error": extreme(self.largest_error, "position_error_m"),
             "largest_error_after_approach": extreme(self.largest_along, "position_error_m"),
             "measured_error_after_approach": measured,
+            "stray_measurements": self.error.strays(),
             "measured_unused_percent": self.error.unused_percent(),
             "least_clearance": extreme(self.least_clearance, "clearance_m"),
         })
@@ -238,6 +241,38 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_stray_tip_is_counted_and_no_measured_error() {
+        let mut seen = Seen::default();
+        for (cause, x_m) in [
+            (TipCause::None, 0.001),
+            (TipCause::None, 0.001),
+            (TipCause::Far, 0.161),
+        ] {
+            seen.last_ns += 10;
+            let mut record = Telemetry {
+                release_ns: seen.last_ns,
+                mode: Mode::Tracking.code(),
+                tip_measured_ns: seen.last_ns - 5,
+                tip_measured_m: [x_m, 0.0, 0.0],
+                tip_cause: cause.code(),
+                ..Telemetry::default()
+            };
+            record.reference.state = ReferenceState::Inside.code();
+            seen.take_cycle(&record);
+        }
+        let (text, json) = (seen.text(), seen.json(false));
+        for part in [
+            "as measured after the approach: mean 1.000, largest 1.000 mm\n1 stray measurement of the tip refused and left out",
+            "largest error: 0.000",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
+        assert!(!text.contains("not in use"), "{text}");
+        assert_eq!(json["measured_error_after_approach"]["max_m"], 0.001);
+        assert_eq!(json["stray_measurements"], 1);
+    }
+
+    #[test]
     fn an_error_without_the_measured_tip_is_named_so_with_the_measured_one() {
         let mut seen = Seen::default();
         for (release_ns, tip_ns) in [(10, 0), (20, 15)] {
@@ -247,7 +282,7 @@ mod tests {
                 position_error_m: 0.002,
                 tip_measured_ns: tip_ns,
                 tip_measured_m: [0.0, 0.161, 0.0],
-                tip_cause: TipCause::Far.code(),
+                tip_cause: TipCause::Frozen.code(),
                 ..Telemetry::default()
             };
             record.reference.state = ReferenceState::Inside.code();

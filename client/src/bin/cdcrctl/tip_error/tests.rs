@@ -1,3 +1,6 @@
+use cdcr_shared_types::codes::TipCause;
+
+use super::measured::FRESH_NS;
 use super::*;
 
 fn record(mode: Mode, state: ReferenceState, release_ns: u64, error_m: f64) -> Telemetry {
@@ -50,9 +53,13 @@ fn what_is_measured_is_held_against_where_the_reference_was_then() {
         record.tip_measured_m = [tip_ns as f64 / 10.0, 0.25, 0.0];
         error.take(&record);
     }
-    let measured = &error.measured;
-    assert_eq!(measured.count, 2);
-    assert!((measured.max_m - 0.25).abs() < 1e-12 && (measured.sum_m - 0.5).abs() < 1e-12);
+    let Sums {
+        count,
+        sum_m,
+        max_m,
+    } = error.measured.sums();
+    assert_eq!(count, 2);
+    assert!((max_m - 0.25).abs() < 1e-12 && (sum_m - 0.5).abs() < 1e-12);
     assert_eq!(
         error.live().as_deref(),
         Some("error 0.000, measured 250.000 mm")
@@ -205,7 +212,7 @@ fn an_error_is_by_the_model_where_the_measured_tip_was_not_in_use() {
         record.reference.position_m[0] = x_m;
         (record.tip_measured_ns, record.tip_measured_m[0]) = (tip_ns, tip_x_m);
         if release_ns >= 50 {
-            record.tip_cause = TipCause::Far.code();
+            record.tip_cause = TipCause::WasFar.code();
         }
         error.take(&record);
     }
@@ -296,5 +303,44 @@ fn a_limit_that_the_model_decided_is_named_where_it_is_broken() {
     assert_eq!(
         note,
         "all errors are by the model: no tip measurement accepted yet; none arrived"
+    );
+}
+
+#[test]
+fn stray_tips_are_counted_beside_the_measured_error_and_those_of_a_wrong_sensor_in_it() {
+    use TipCause::{Far, Jumped, Jumps, None};
+    const STEP_NS: u64 = 30_000_000;
+    let run = |causes: &[TipCause]| {
+        let mut error = TipError::default();
+        for (k, cause) in (1..).zip(causes) {
+            let mut record = record(Mode::Tracking, ReferenceState::Inside, k * STEP_NS, 0.001);
+            record.measurement_jump_limit = 3;
+            record.tip_measured_ns = k * STEP_NS - 1;
+            record.tip_cause = cause.code();
+            record.tip_measured_m[0] = if *cause == None { 0.002 } else { 0.3 };
+            error.take(&record);
+        }
+        error
+    };
+    let error = run(&[None, None, Jumps, None, Far, Jumps, None, Jumps]);
+    assert_eq!((error.strays(), error.unused_percent()), (4, Option::None));
+    assert_eq!(error.measured_mean_max_m(), Some(([0.002; 2], 3)));
+    assert_eq!(
+        error.live().as_deref(),
+        Some("error 1.000, measured 2.000 mm")
+    );
+    assert_eq!(error.final_by_model, Option::None);
+    assert!(error.print(Some(0.003)).is_ok() && error.print(Option::None).is_ok());
+    let text = error.strays_text().expect("four");
+    assert_eq!(text, "4 stray measurements of the tip refused and left out");
+    // As many in a row as the daemon takes for a wrong sensor.
+    let error = run(&[None, None, Jumps, Jumps, Jumped, Jumped]);
+    assert_eq!((error.strays(), error.strays_text()), (0, Option::None));
+    assert_eq!(error.measured_mean_max_m().map(|(_, count)| count), Some(5));
+    assert!(error.unused_percent().is_some() && error.final_by_model.is_some());
+    let text = error.print(Some(0.003)).expect_err("wrong").to_string();
+    assert!(
+        text.contains("300.000 mm from its reference as measured"),
+        "{text}"
     );
 }

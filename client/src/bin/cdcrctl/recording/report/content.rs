@@ -305,6 +305,7 @@ impl Cycles {
             "skipped_periods": self.skipped_periods,
             "error_mm": error.map(|error| error.map(|m| 1e3 * m)),
             "measured_mm": self.error.measured_mean_max_m().map(|(error, _)| error.map(|m| 1e3 * m)),
+            "strays": self.error.strays(),
             "unused_percent": self.error.unused_percent(),
             "least_clearance": self.least_clearance.map(|(m, t_s)| json!({"mm": 1e3 * m, "t_s": t_s})),
             "mode_names": Mode::ALL.iter().map(|mode| mode.text()).collect::<Vec<_>>(),

@@ -314,6 +314,7 @@ function summary() {
   add(`tip error${unused ? ' by the model' : ''} while tracking, after the approach`, error ? `mean ${number(error[0], 3)}, max ${number(error[1], 3)}, final ${number(error[2], 3)} mm` : 'nothing was tracked');
   const measured = data.measured_mm;
   if (measured) add('the same as measured, noise included', `mean ${number(measured[0], 3)}, max ${number(measured[1], 3)} mm`);
+  if (data.strays) add('stray measurements of the tip, refused and left out', `${data.strays}`);
   if (unused) add('measured tip not in use', `${number(unused, 3)} % of that time`, true);
   const least = data.least_clearance;
   add(`least clearance (safe distance ${number(safe_mm)} mm)`, least ? `${number(least.mm)} mm at ${number(least.t_s)} s` : 'no obstacle', least && least.mm < safe_mm - 0.01);
