@@ -41,12 +41,16 @@ fn rows_that_determine_nothing_give_nothing_to_paste() {
     let line = "cdcrctl calibrate geometry short.csv --config robot.toml";
     let parts = [
         "these rows determine no value of the robot",
+        "; nothing to paste",
         "bend by up to 0.6",
         "calibrate excite",
         "actuator.play_m",
     ];
-    for format in ["text", "json"] {
-        let printed = place.checked(&format!("{line} --format {format}"), 1, &parts);
-        assert!(!printed.contains("robot.sections"), "{printed}");
+    // Held values do not make a wrong model right.
+    for options in ["--format text", "--format json", "--hold base"] {
+        let printed = place.checked(&format!("{line} {options}"), 1, &parts);
+        for part in ["robot.sections", "--hold base,sensor"] {
+            assert!(!printed.contains(part), "{printed}");
+        }
     }
 }

@@ -50,9 +50,14 @@ pub(super) fn text(
         );
     }
     out.push_str(
-        " Repeat cdcrctl calibrate excite to its end, with a longer --duration (a minute is usual), or a larger --bend-max. \
-         Measure base and sensor by other means and hold them (--hold base,sensor), or send the rotation of the tip, too.",
+        " Repeat cdcrctl calibrate excite to its end, with a longer --duration (a minute is usual), or a larger --bend-max, or \
+         send the rotation of the tip, too.",
     );
+    if correlation <= CORRELATED {
+        out.push_str(
+            " Or measure base and sensor by other means and hold them (--hold base,sensor).",
+        );
+    }
     if correlation > CORRELATED {
         let _ = write!(
             out,

@@ -9,8 +9,9 @@ use cdcr_controller::robot::{RobotParameters, SectionParameters};
 use cdcr_shared_types::RobotDescription;
 use toml_edit::{DocumentMut, Item};
 
+use super::advice::{self, CORRELATED};
 use super::recording::CalibrationRows;
-use super::{advice, recorded, report};
+use super::{recorded, report};
 use crate::Done;
 use crate::args::{Format, GeometryOptions, Target};
 use crate::dry_run::newest;
@@ -28,11 +29,13 @@ pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<
     let recording = recording.behind_play(play_m);
     let hold: Vec<ParameterGroup> = options.hold.iter().map(|hold| hold.0).collect();
     let found = calibrate(&robot, &recording.rows, &hold);
-    if let Err(CalibrationError::NothingLeft { correlation, .. }) = found
-        && options.hold.len() < ParameterGroup::ALL.len()
+    if hold.len() < ParameterGroup::ALL.len()
+        && let Some((how, correlation)) = refusal(&robot, &recording, &hold, &found)
     {
         let advice = advice::text(&robot, &recording, correlation);
-        bail!("{name}: these rows determine no value of the robot; nothing to paste\n{advice}");
+        bail!(
+            "{name}: these rows determine no value of the robot{how}; nothing to paste\n{advice}"
+        );
     }
     let found: Calibration = found.with_context(|| name.to_string())?;
     let mut out = std::io::stdout().lock();
@@ -45,6 +48,30 @@ pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<
         )?,
     }
     Ok(Done::Good)
+}
+
+/// Why nothing is determined, if so, and the correlation of the residuals. Of a model that lacks an effect, the values of `hold`
+/// move that effect into the other values, and their bounds do not include it: what is refused without `hold` stays refused.
+fn refusal(
+    robot: &RobotParameters,
+    recording: &CalibrationRows,
+    hold: &[ParameterGroup],
+    found: &Result<Calibration, CalibrationError>,
+) -> Option<(&'static str, f64)> {
+    match found {
+        Err(CalibrationError::NothingLeft { correlation, .. }) => Some(("", *correlation)),
+        Ok(found) if !hold.is_empty() && found.correlation > CORRELATED => {
+            let free = calibrate(robot, &recording.rows, &[]);
+            let Err(CalibrationError::NothingLeft { correlation, .. }) = free else {
+                return None;
+            };
+            Some((
+                " without --hold, which does not correct the model",
+                correlation,
+            ))
+        }
+        _ => None,
+    }
 }
 
 /// Rows of a CSV file, with the robot of the configuration or of a daemon.
@@ -139,7 +166,10 @@ fn configured(path: &Path) -> anyhow::Result<(RobotParameters, f64)> {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_controller::calibration::CalibrationRow;
+    use cdcr_controller::robot::{Configuration, Robot};
     use cdcr_scratch::Scratch;
+    use nalgebra::Vector3;
 
     use super::*;
 
@@ -165,5 +195,75 @@ mod tests {
         .expect("written");
         let error = configured(&path).expect_err("no number").to_string();
         assert!(error.contains("robot.sections[0].length_m"), "{error}");
+    }
+
+    /// Two sections longer and shorter than configured, whose droop and friction \[rad\] the model lacks.
+    fn rows(
+        droop_rad: f64,
+        friction_rad: f64,
+        amplitude_rad: f64,
+    ) -> (RobotParameters, CalibrationRows) {
+        let configured = RobotParameters::paper(2);
+        let mut truth = configured.clone();
+        for (section, share) in truth.sections.iter_mut().zip([1.03, 0.965]) {
+            section.length_m *= share;
+        }
+        let truth = Robot::new(&truth).expect("a robot");
+        let mut seed = 1_u64;
+        let mut noise_m = move |most_m: f64| {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            most_m * ((seed >> 33) as f64 / f64::from(1_u32 << 30) - 1.0)
+        };
+        let bends_at = |time_s: f64| {
+            [
+                (0.5 * time_s).sin(),
+                (0.31 * time_s).cos(),
+                (0.43 * time_s).cos(),
+                (0.37 * time_s).sin(),
+            ]
+            .map(|share| amplitude_rad * share)
+        };
+        let bent = |bends: [f64; 4]| Configuration::from_slice(&bends).expect("bends");
+        let rows = (0..1000).map(|k| {
+            let time_s = 0.05 * f64::from(k);
+            let (now, soon) = (bends_at(time_s), bends_at(time_s + 0.01));
+            let true_rad = core::array::from_fn(|i| {
+                let droop_rad = if i % 2 == 1 { droop_rad } else { 0.0 };
+                now[i] + friction_rad * (now[i] - soon[i]).signum() + droop_rad * now[i].cos()
+            });
+            let mut cable_length_m = truth.cable_lengths(&bent(now));
+            for length_m in &mut cable_length_m[..6] {
+                *length_m += noise_m(2e-5);
+            }
+            let noise_m = Vector3::from_fn(|_, _| noise_m(4e-4));
+            CalibrationRow {
+                cable_length_m,
+                tip_position_m: truth.tip_position(&bent(true_rad)) + noise_m,
+                tip_rotation: None,
+            }
+        });
+        let rows = CalibrationRows {
+            rows: rows.collect(),
+            duration_s: 50.0,
+            play_m: 0.0,
+        };
+        (configured, rows)
+    }
+
+    #[test]
+    fn what_a_wrong_model_does_not_determine_is_not_offered_with_held_values_either() {
+        let refused = |droop_rad, friction_rad, amplitude_rad, hold: &[ParameterGroup]| {
+            let (robot, recording) = rows(droop_rad, friction_rad, amplitude_rad);
+            let found = calibrate(&robot, &recording.rows, hold);
+            let refusal = refusal(&robot, &recording, hold, &found);
+            (found.is_ok(), refusal.map(|(how, _)| how))
+        };
+        let base = [ParameterGroup::Base];
+        assert_eq!(refused(0.01, 0.003, 0.35, &[]), (false, Some("")));
+        let (is_found, how) = refused(0.01, 0.003, 0.35, &base);
+        assert!(is_found && how.is_some_and(|how| how.contains("without --hold")));
+        // A right model, and rows that determine values without held ones.
+        assert_eq!(refused(0.0, 0.0, 0.35, &base), (true, None));
+        assert_eq!(refused(0.01, 0.003, 0.7, &base), (true, None));
     }
 }
