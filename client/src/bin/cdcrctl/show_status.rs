@@ -234,6 +234,9 @@ fn place(out: &mut String, status: &Status) -> std::fmt::Result {
         write!(out, "; {unheard}")?;
     } else if let Some(cause) = unused_tip(status) {
         write!(out, "; the measured tip is not in use: {cause}")?;
+        if let Some(way_out) = way_out(cause) {
+            write!(out, "\n            {way_out}")?;
+        }
     }
     if let Some(refused) = refused_text(status) {
         write!(out, "\n            {refused}")?;
@@ -257,6 +260,17 @@ fn is_tip_sensor_undeclared(status: &Status) -> bool {
     status.driver_measures_tip_only != 0
         && status.has_tip_sensor == 0
         && status.outcomes[Outcome::OtherDriver.code() as usize] > 0
+}
+
+/// What makes the daemon use the tip again.
+fn way_out(cause: TipCause) -> Option<&'static str> {
+    match cause {
+        TipCause::Jumped | TipCause::Frozen => Some(
+            "Check the sensor. Also one that is right again is used only after cdcrctl stop and cdcrctl reset, or when its program is started again",
+        ),
+        TipCause::WasFar => Some("It is used again by itself after 0.32 to 20 s within the limit"),
+        TipCause::None | TipCause::Far | TipCause::Jumps => None,
+    }
 }
 
 fn unused_tip(status: &Status) -> Option<TipCause> {

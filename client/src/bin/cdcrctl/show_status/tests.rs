@@ -202,11 +202,32 @@ fn a_tip_that_is_not_in_use_is_named_with_its_cause() {
         tip_measured_ns: 1,
         ..Status::default()
     };
-    for (cause, is_named) in [(TipCause::None, false), (TipCause::Frozen, true)] {
+    // The way out only where the tip is not used again by itself.
+    for (cause, texts, way_out) in [
+        (TipCause::None, "mm from it\nfollowing", false),
+        (
+            TipCause::Jumps,
+            "is not in use: it moved faster than the robot can\n",
+            false,
+        ),
+        (
+            TipCause::Jumped,
+            "it moved faster than the robot can many times in a row\n",
+            true,
+        ),
+        (
+            TipCause::Frozen,
+            "; the measured tip is not in use: it had the same bits while the robot moved\n",
+            true,
+        ),
+        (TipCause::WasFar, "by itself after 0.32 to 20 s", false),
+    ] {
         status.tip_cause = cause.code();
         let table = table(&status, None, 0).expect("formatted");
-        let text = "; the measured tip is not in use: it had the same bits while the robot moved\n";
-        assert_eq!(table.contains(text), is_named, "{table}");
+        assert!(table.contains(texts), "{table}");
+        let remedy =
+            "only after cdcrctl stop and cdcrctl reset, or when its program is started again\n";
+        assert_eq!(table.contains(remedy), way_out, "{table}");
     }
 }
 
