@@ -116,6 +116,7 @@ impl From<RequestError> for Failure {
 impl From<StopError> for Failure {
     fn from(error: StopError) -> Self {
         match error {
+            StopError::NoDaemon(_) => Self::new(Code::NoDaemon, error),
             StopError::Connect(error) => error.into(),
             StopError::Request(error) => error.into(),
             StopError::Unconfirmed { .. } => Self::new(Code::Unconfirmed, error),

@@ -205,7 +205,7 @@ pub(crate) fn no_status(location: &Location, place: &Place) -> ConnectError {
         location,
         place,
         "it has sent no status for 1 s: it is stopped, delayed or short of memory",
-        "its services exist, but no process owns them: it was killed",
+        "its services exist, but no process owns them: it has ended",
     )
 }
 
@@ -248,7 +248,7 @@ pub(crate) fn not_reached(
 
 impl ConnectError {
     /// Where daemons run instead, a line each; empty: nowhere, or not known.
-    pub fn elsewhere(&self) -> String {
+    pub(crate) fn elsewhere(&self) -> String {
         let Self::DaemonNotRunning {
             running,
             as_service,

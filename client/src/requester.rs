@@ -30,6 +30,9 @@ pub struct Requester {
 /// Why a stop is not confirmed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum StopError {
+    /// No daemon runs: the answer is about the robot, not about how to start one.
+    #[error("{}", nothing_stopped(.0))]
+    NoDaemon(Box<ConnectError>),
     /// The request could not be sent.
     #[error(transparent)]
     Connect(#[from] ConnectError),
@@ -47,6 +50,18 @@ pub enum StopError {
         /// Why the request failed.
         cause: String,
     },
+}
+
+fn nothing_stopped(error: &ConnectError) -> String {
+    let ConnectError::DaemonNotRunning { place, found, .. } = error else {
+        return error.to_string();
+    };
+    format!(
+        "nothing was stopped: no daemon is running for {place}: {found}\n\
+         if the robot moves, use its emergency stop\n{}\
+         a daemon that starts later is not stopped by this: repeat it then",
+        error.elsewhere()
+    )
 }
 
 impl Requester {
@@ -130,6 +145,9 @@ impl Requester {
                     .unwrap_or_default()
                     .to_owned(),
             }),
+            (Err(StopError::Connect(error @ ConnectError::DaemonNotRunning { .. })), _) => {
+                Err(StopError::NoDaemon(Box::new(error)))
+            }
             (second, _) => second,
         }
     }

@@ -201,6 +201,11 @@ impl From<RequestError> for Failure {
 impl From<StopError> for Failure {
     fn from(error: StopError) -> Self {
         match error {
+            StopError::NoDaemon(_) => {
+                let text = error.to_string();
+                let (what, next) = text.split_once('\n').unwrap_or((&text, ""));
+                Self::new(Class::Connect, what, next)
+            }
             StopError::Connect(error) => error.into(),
             StopError::Request(error) => error.into(),
             unconfirmed @ StopError::Unconfirmed { .. } => {

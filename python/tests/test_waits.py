@@ -133,11 +133,13 @@ def test_a_killed_daemon_is_reported_by_every_wait_and_the_next_one_is_found(dae
         with pytest.raises(cdcr.RequestError, match="it has ended") as refused:
             connection.hold()
         assert "cdcrd run" in refused.value.remedy
-        with pytest.raises(cdcr.ConnectError, match="no daemon is running"):
+        with pytest.raises(cdcr.ConnectError, match="nothing was stopped: no daemon is running") as unstopped:
             connection.stop()
+        assert "emergency stop" in unstopped.value.remedy and "cdcrd run" not in unstopped.value.remedy
         with pytest.raises(cdcr.ConnectError) as missing:
             daemon.connect(timeout_s=0.1)
         assert "cdcrd run" in str(missing.value) and isinstance(missing.value, ConnectionError)
+        assert "it has ended" in str(missing.value)
         daemon.start()
         with daemon.connect() as fresh:
             assert fresh.status()["process_id"] == daemon.process.pid

@@ -1,8 +1,7 @@
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::anyhow;
-use cdcr_client::{ConnectError, RequestError, Requester, StopError};
+use cdcr_client::{RequestError, Requester};
 use cdcr_shared_types::codes::{Outcome, RequestKind};
 use cdcr_shared_types::{Location, Response};
 
@@ -36,26 +35,10 @@ pub(crate) fn run(
 /// Sends a request to a daemon; a stop by every available means.
 pub(crate) fn ask(location: &Location, robot: &str, kind: RequestKind) -> anyhow::Result<Response> {
     Ok(match kind {
-        RequestKind::Stop => Requester::stop(location, robot).map_err(not_stopped)?,
+        RequestKind::Stop => Requester::stop(location, robot)?,
         RequestKind::Track => track(&Requester::open(location, robot)?)?,
         _ => Requester::open(location, robot)?.request(kind)?,
     })
-}
-
-/// Where no daemon runs, the answer is about the robot, not about how to start one.
-fn not_stopped(error: StopError) -> anyhow::Error {
-    let StopError::Connect(connect) = &error else {
-        return error.into();
-    };
-    let ConnectError::DaemonNotRunning { place, found, .. } = connect else {
-        return error.into();
-    };
-    anyhow!(
-        "nothing was stopped: no daemon is running for {place}: {found}\n\
-         if the robot moves, use its emergency stop\n{}\
-         a daemon that starts later is not stopped by this: repeat it then",
-        connect.elsewhere()
-    )
 }
 
 fn track(requester: &Requester) -> Result<Response, RequestError> {
