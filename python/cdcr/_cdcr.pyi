@@ -159,6 +159,10 @@ class Driver:
         """
         Closes the ports. Closing twice changes nothing.
         """
+    def forget(self, /) -> None:
+        """
+        Rests until the next command, which is then treated as the first and must match the last measurement. For motors whose torque was off: call it after the reset, before they follow again. Commands that wait are dropped.
+        """
     def last_refusal(self, /) -> str | None:
         """
         Why the newest of them was refused, or None.

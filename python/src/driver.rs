@@ -150,6 +150,16 @@ impl DriverPort {
         Ok(position.map(|at| Doubles::new(&[cables], &[], at.cable_length_m[..cables].to_vec())))
     }
 
+    /// Rests until the next command, which is then treated as the first and must match the last measurement. For motors whose torque was off: call it after the reset, before they follow again. Commands that wait are dropped.
+    fn forget(&self, py: Python<'_>) -> PyResult<()> {
+        self.worker.call_on_thread(py, |driver| {
+            driver.update()?;
+            driver.forget();
+            Ok::<_, Failure>(())
+        })??;
+        Ok(())
+    }
+
     /// Commands that were refused since the beginning.
     fn refusals(&self, py: Python<'_>) -> PyResult<u64> {
         self.worker.call_on_thread(py, |driver| driver.refusals())

@@ -388,6 +388,30 @@ def test_a_driver_moves_its_robot_along_a_reference(interface: str) -> None:
         daemon.end()
 
 
+def test_a_driver_that_forgets_rests_until_the_next_command() -> None:
+    daemon = Daemon("--set", "link.kind=driver", "--set", "link.interface=position", "--set", "link.measurement_timeout_ms=2000")
+    try:
+        with daemon.connect() as connection, connection.driver("position") as driver:
+
+            def follows() -> bool:
+                driver.send(cable_length=driver.robot.cables(np.zeros(6)))
+                if mode(connection) is cdcr.Mode.FAULTED:
+                    connection.reset()
+                return driver.cable_lengths() is not None
+
+            eventually(follows)
+            # No command arrives meanwhile.
+            daemon.process.send_signal(signal.SIGSTOP)
+            os.waitpid(daemon.process.pid, os.WUNTRACED)
+            assert driver.cable_lengths() is not None
+            driver.forget()
+            assert driver.cable_lengths() is None and (driver.cable_speeds() == 0).all()
+            daemon.process.send_signal(signal.SIGCONT)
+            eventually(follows)
+    finally:
+        daemon.end()
+
+
 def test_a_reset_where_the_last_command_did_not_leave_the_robot_has_to_accept_the_pose() -> None:
     """The robot is moved by hand while it is stopped."""
     daemon = Daemon("--set", "link.kind=driver", "--set", "link.measurement_timeout_ms=2000")
