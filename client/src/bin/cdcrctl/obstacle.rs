@@ -4,7 +4,8 @@ mod scene;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::Write as _;
-use std::time::Duration;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use anyhow::{anyhow, bail};
 use cdcr_client::{
@@ -44,8 +45,19 @@ pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<
         ObstacleAction::Remove { ids } => {
             // The daemon does not report which of the ids it knew.
             let before = known(&connection, TIMEOUT)?;
+            let silent = connection.status(TIMEOUT)?.silent_obstacle_source;
             change(&connection, |sender| sender.remove(ids))?;
-            check_were_known(ids, &before)
+            let Some(unknown) = unknown_text(ids, &before) else {
+                return Ok(Done::Good);
+            };
+            if silent == 0 || !is_wait_over(&connection, silent)? {
+                bail!("{unknown}; the known ones: cdcrctl obstacle list");
+            }
+            writeln!(
+                std::io::stdout(),
+                "{unknown}, but the daemon waits no longer for the source of obstacles that was silent"
+            )?;
+            Ok(Done::Good)
         }
         ObstacleAction::Clear => {
             let before = known(&connection, TIMEOUT)?;
@@ -111,18 +123,29 @@ fn accepted(telemetry: &mut TelemetryStream, header: &Header) -> anyhow::Result<
     }
 }
 
-/// Fails when an obstacle to be removed was not known before.
-fn check_were_known(ids: &[u32], before: &[Obstacle]) -> anyhow::Result<Done> {
+/// Names the obstacles to be removed that were not known before; `None`: all were.
+fn unknown_text(ids: &[u32], before: &[Obstacle]) -> Option<String> {
     let is_unknown = |id: &&u32| before.iter().all(|known| known.id != **id);
     let unknown: BTreeSet<_> = ids.iter().filter(is_unknown).collect();
     let unknown: Vec<_> = unknown.into_iter().map(u32::to_string).collect();
-    if !unknown.is_empty() {
-        bail!(
-            "no obstacle with id {} was known to the daemon; the known ones: cdcrctl obstacle list",
-            unknown.join(", ")
-        );
+    let text = format!(
+        "no obstacle with id {} was known to the daemon",
+        unknown.join(", ")
+    );
+    (!unknown.is_empty()).then_some(text)
+}
+
+/// Whether the daemon waits no longer for this silent source: a remove of the newest obstacle that it sent ends that, also when that
+/// has expired.
+fn is_wait_over(connection: &Connection, silent: u64) -> anyhow::Result<bool> {
+    let until = Instant::now() + TIMEOUT;
+    while Instant::now() < until {
+        if connection.status(TIMEOUT)?.silent_obstacle_source != silent {
+            return Ok(true);
+        }
+        sleep(Duration::from_millis(10));
     }
-    Ok(Done::Good)
+    Ok(false)
 }
 
 /// What a clear has removed: this command has added none of it.
@@ -320,9 +343,9 @@ mod tests {
             id,
             ..Obstacle::default()
         });
-        assert!(check_were_known(&[2, 1, 2], &before).is_ok());
-        let error = check_were_known(&[7, 1, 9, 7], &before).expect_err("unknown");
-        assert!(error.to_string().contains("id 7, 9 was"), "{error}");
+        assert_eq!(unknown_text(&[2, 1, 2], &before), None);
+        let text = unknown_text(&[7, 1, 9, 7], &before).expect("unknown");
+        assert!(text.contains("id 7, 9 was"), "{text}");
         assert_eq!(
             cleared(&before),
             "removed: 2 obstacles of other clients, 1, 2"

@@ -284,6 +284,39 @@ fn a_robot_goes_on_beside_the_obstacles_of_a_source_that_died_where_it_should() 
     lose_source("keep");
 }
 
+/// A source whose obstacle has expired is silent: a remove of it ends the wait, although nothing of that id is known.
+#[test]
+fn removing_what_a_silent_source_sent_last_ends_the_wait_also_after_its_lifetime() {
+    let daemon = Daemon::start(&format!(
+        "{STALL_TOLERANT}[obstacles]\nsource_timeout_ms = 200.0\n"
+    ));
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    let sender = connection.obstacle_sender().unwrap();
+    let seen = Obstacle {
+        measured_ns: monotonic_ns(),
+        lifetime_ns: 100_000_000,
+        ..ball(1, [0.5, 0.0, 0.5])
+    };
+    send(&mut trail, &sender, &[seen]);
+    let live = || {
+        sender.upsert(&[]).unwrap();
+    };
+    trail.until_while("expired", live, |record| record.obstacle_count == 0);
+    wait_status(&connection, |status| status.silent_obstacle_source != 0);
+    let place = daemon.place();
+    let unknown = "no obstacle with id 9 was known";
+    place.checked("cdcrctl obstacle remove 9", 1, &[unknown]);
+    let over = "no obstacle with id 1 was known to the daemon, but the daemon waits no longer";
+    place.checked("cdcrctl obstacle remove 1", 0, &[over]);
+    wait_status(&connection, |status| status.silent_obstacle_source == 0);
+    place.checked(
+        "cdcrctl obstacle remove 1",
+        1,
+        &["no obstacle with id 1 was"],
+    );
+}
+
 /// A driver's robot while homing, beside an obstacle whose lifetime is not renewed. No configuration key
 /// about sources is set.
 #[test]

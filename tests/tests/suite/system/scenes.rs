@@ -128,6 +128,18 @@ fn obstacles_are_taken_as_a_program_writes_them() {
     assert_output(&ended(camera), 1, &["standard input: line 2"]);
     wait_status(&connection, |status| status.obstacle_count == 0);
 
+    // An id that nobody knew is named, unless this program has sent it.
+    let mut camera = piped(&daemon, "obstacle stdin");
+    write(
+        &mut camera,
+        "{\"id\": 5, \"start_m\": [0.5, 0, 0.5], \"radius_m\": 0.02}\n",
+    );
+    wait_status(&connection, |status| status.obstacle_count == 1);
+    checked(&daemon, "obstacle clear", 0, "0 known");
+    write(&mut camera, "{\"remove\": [5, 99]}\n");
+    let unknown = "0 known to the daemon now\nnothing to remove: no obstacle with id 99 was known";
+    assert_output(&ended(camera), 0, &["2 changes accepted", unknown]);
+
     // What was not sent says nothing about what is known.
     let output = ended(piped(&daemon, "obstacle stdin"));
     assert!(!assert_output(&output, 0, &["0 changes accepted"]).contains("known"));

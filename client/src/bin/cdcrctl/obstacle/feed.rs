@@ -1,5 +1,6 @@
 //! Obstacles from a scene file or from lines on the standard input.
 
+use std::collections::BTreeSet;
 use std::io::{BufRead, Read as _, Write};
 use std::path::Path;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
@@ -12,10 +13,11 @@ use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{Header, Obstacle};
 
 use super::scene::{self, SceneAction, SceneChange};
-use super::{TIMEOUT, accepted, check};
+use super::{TIMEOUT, accepted, check, unknown_text};
 use crate::Done;
 use crate::files::read_text;
 use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt};
+use crate::known_obstacles::known;
 
 /// Maximum number of queued lines: a faster writer waits.
 const WAITING: usize = 1024;
@@ -27,12 +29,16 @@ const LINE_MAX: u64 = 65_536;
 type Read = Result<SceneChange, String>;
 
 /// Sends changes and counts them.
-struct Feed {
+struct Feed<'a> {
+    connection: &'a Connection,
     sender: ObstacleSender,
     telemetry: TelemetryStream,
     changes: usize,
     /// Obstacles that the daemon knew after the last change.
     known: Option<u32>,
+    /// Those that it sent, and the removed ones that nobody had: the daemon does not report which it knew.
+    sent: BTreeSet<u32>,
+    unknown: Vec<u32>,
 }
 
 /// `cdcrctl obstacle file PATH`: sends each change at its time. The whole file is checked first.
@@ -167,13 +173,16 @@ fn read_lines() -> Receiver<Read> {
     receive
 }
 
-impl Feed {
-    fn new(connection: &Connection) -> anyhow::Result<Self> {
+impl<'a> Feed<'a> {
+    fn new(connection: &'a Connection) -> anyhow::Result<Self> {
         Ok(Self {
+            connection,
             telemetry: connection.telemetry()?,
             sender: connection.obstacle_sender()?,
             changes: 0,
             known: None,
+            sent: BTreeSet::new(),
+            unknown: Vec::new(),
         })
     }
 
@@ -187,8 +196,16 @@ impl Feed {
         };
         for group in changes.chunk_by(is_same) {
             if let SceneAction::Remove(ids) = &group[0].action {
+                let mut others: Vec<_> = (ids.iter().copied())
+                    .filter(|id| !self.sent.contains(id))
+                    .collect();
+                if !others.is_empty() {
+                    let known = known(self.connection, TIMEOUT)?;
+                    others.retain(|id| known.iter().all(|known| known.id != *id));
+                }
                 let header = self.sender.remove(ids)?;
                 self.note(&header, group)?;
+                self.unknown.extend(others);
                 continue;
             }
             for some in group.chunks(OBSTACLES_MAX) {
@@ -199,6 +216,7 @@ impl Feed {
                 let obstacles: Vec<Obstacle> = some.iter().filter_map(obstacle).collect();
                 let header = self.sender.upsert_anywhere(&obstacles)?;
                 self.note(&header, some)?;
+                self.sent.extend(obstacles.iter().map(|known| known.id));
             }
         }
         Ok(())
@@ -227,6 +245,9 @@ impl Feed {
             "obstacles: {changes} accepted{}",
             known.unwrap_or_default()
         )?;
+        if let Some(unknown) = unknown_text(&self.unknown, &[]) {
+            writeln!(std::io::stdout(), "nothing to remove: {unknown}")?;
+        }
         Ok(done)
     }
 }
