@@ -69,7 +69,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
         );
     }
     let tip_m = newest(&connection)?.tip_position_m;
-    let note = pieces::Pieces::read(&options.file, tip_m)?.note(&name, options.speed);
+    let note = pieces::Pieces::read(&options.file, tip_m)?.note(&name, options.speed)?;
     if let Some(note) = note {
         tell!("{note}");
     }

@@ -5,6 +5,7 @@
 
 use std::path::Path;
 
+use anyhow::ensure;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{ChunkMode, Mode, ReferenceState};
 
@@ -28,6 +29,9 @@ pub(super) struct Pieces {
     tracked_ns: Option<u64>,
     /// Time in the recording \[s\] and distance \[m\].
     far: Vec<(f64, f64)>,
+    /// The first piece has begun, and a later one is among those.
+    has_begun: bool,
+    is_later_far: bool,
 }
 
 impl Pieces {
@@ -54,6 +58,8 @@ impl Pieces {
             is_sent: false,
             tracked_ns: None,
             far: Vec::new(),
+            has_begun: false,
+            is_later_far: false,
         }
     }
 
@@ -71,15 +77,21 @@ impl Pieces {
         if before_ns.is_none_or(is_next) && away_m > FAR_M {
             let since_s = now_ns.saturating_sub(first_ns) as f64 * 1e-9;
             self.far.push((since_s, away_m));
+            self.is_later_far |= self.has_begun;
         }
+        self.has_begun = true;
         self.tip_m = record.reference.position_m;
         self.tracked_ns = Some(now_ns);
     }
 
     /// What to print before anything moves, if a piece begins far away.
-    pub(super) fn note(&self, name: &str, speed: f64) -> Option<String> {
+    ///
+    /// # Errors
+    /// If a later one does, and is faster than recorded: from piece to piece the tip swings out farther, several times as far as
+    /// in the recording.
+    pub(super) fn note(&self, name: &str, speed: f64) -> anyhow::Result<Option<String>> {
         if self.far.is_empty() {
-            return None;
+            return Ok(None);
         }
         let listed = self.far.iter().take(LISTED);
         let mut places: Vec<_> = listed
@@ -88,16 +100,21 @@ impl Pieces {
         if let more @ 1.. = self.far.len().saturating_sub(LISTED) {
             places.push(format!("{more} more"));
         }
+        let places = places.join(", ");
+        ensure!(
+            speed <= 1.0 || !self.is_later_far,
+            "in {name} pieces of the reference begin away from where the tip will be: {places}. At --speed {speed} the tip would swing out farther \
+             with each of them. Nothing was sent. Replay it at --speed 1 or slower, or record one piece at a time"
+        );
         let swing = if speed > 1.0 {
             format!(", and at --speed {speed} swings out farther than at 1")
         } else {
             String::new()
         };
-        Some(format!(
-            "note: in {name} the reference begins away from where the tip will be: {}. The tip joins it while it moves{swing}. Motions by home or by hand \
-             between pieces are not replayed; Ctrl-C holds the robot",
-            places.join(", ")
-        ))
+        Ok(Some(format!(
+            "note: in {name} the reference begins away from where the tip will be: {places}. The tip joins it while it moves{swing}. Motions by home or by hand \
+             between pieces are not replayed; Ctrl-C holds the robot"
+        )))
     }
 }
 
@@ -156,13 +173,42 @@ mod tests {
     #[test]
     fn the_note_names_the_places_and_the_speed() {
         let mut pieces = Pieces::from_tip([0.0; 3]);
-        assert_eq!(pieces.note("run.mcap", 4.0), None);
+        assert_eq!(pieces.note("run.mcap", 4.0).unwrap(), None);
         pieces.far = vec![(12.4, 0.082); 12];
-        let text = pieces.note("run.mcap", 4.0).unwrap();
+        let note = |pieces: &Pieces, speed| pieces.note("run.mcap", speed);
+        let text = note(&pieces, 4.0).unwrap().unwrap();
         for part in ["82 mm at 12.4 s", "2 more", "--speed 4", "while it moves"] {
             assert!(text.contains(part), "{text}");
         }
-        let text = pieces.note("run.mcap", 1.0).unwrap();
+        // Between pieces, from one to the next.
+        pieces.is_later_far = true;
+        let text = note(&pieces, 1.0).unwrap().unwrap();
         assert!(!text.contains("--speed"), "{text}");
+        let text = note(&pieces, 1.1).unwrap_err().to_string();
+        for part in ["82 mm at 12.4 s", "Nothing was sent", "--speed 1 or slower"] {
+            assert!(text.contains(part), "{text}");
+        }
+    }
+
+    #[test]
+    fn the_first_piece_may_begin_away_from_the_tip() {
+        let is_later_far = |cycles: &[(u64, f64)]| {
+            let mut pieces = Pieces::from_tip([-0.03, 0.0, 0.0]);
+            pieces.is_sent = true;
+            for (cycle, x_m) in cycles {
+                let mut record = Telemetry {
+                    mode: Mode::Tracking.code(),
+                    release_ns: PERIOD_NS * cycle,
+                    period_ns: PERIOD_NS,
+                    ..Telemetry::default()
+                };
+                record.reference.position_m[0] = *x_m;
+                record.reference.state = ReferenceState::Inside.code();
+                pieces.take(&record);
+            }
+            pieces.is_later_far
+        };
+        assert!(!is_later_far(&[(1, 0.0), (2, 0.01)]));
+        assert!(is_later_far(&[(1, 0.0), (2, 0.05)]));
     }
 }
