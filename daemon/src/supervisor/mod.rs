@@ -4,6 +4,7 @@
 //! other real-time threads. It receives the cycles through rings that never block the sender. It waits for no
 //! file: the `status_thread` publishes its results.
 
+mod late_line;
 mod refusals;
 mod snapshot;
 mod statistics;
@@ -329,7 +330,8 @@ impl Supervisor {
                 cause,
                 deadline_misses = summary.totals.deadline_misses,
                 skipped_periods = summary.totals.skipped_periods,
-                "late: {cause}"
+                "{}",
+                late_line::text(&late, summary)
             );
         }
     }
