@@ -149,11 +149,11 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
              it obeys its commands (cdcrctl status shows the following error). Then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::InputsStale => {
-            "The machine delayed the daemon's exchange thread: see the causes in cdcrctl incidents, then track again."
+            "The machine delayed the daemon's exchange thread: see the causes in cdcrctl incidents, then feed the reference, or go home, again."
         }
         Reason::Suspended => "The machine was suspended: check the robot, then cdcrctl reset.",
         Reason::ObstacleSourceSilent => {
-            "Check that the program that sends the obstacles runs, or remove its obstacles (cdcrctl obstacle remove ID), then track again."
+            "Check that the program that sends the obstacles runs, or remove its obstacles (cdcrctl obstacle remove ID), then feed the reference, or go home, again."
         }
         Reason::ReferenceTooFar => {
             "Bring the tip nearer first, with cdcrctl goto, or set motion.approach to \"smooth\"."

@@ -120,7 +120,7 @@ fn identity(out: &mut String, status: &Status, broken: Option<FarthestBend>) -> 
         String::new()
     } else {
         let over = if waits_for_no_source(status) {
-            "; not any more: track again"
+            "; not any more: feed the reference, or go home, again"
         } else {
             ""
         };

@@ -115,7 +115,8 @@ fn a_silent_source_of_obstacles_is_shown_with_the_time_since() {
     assert!(shown(&status).contains(line), "{}", shown(&status));
     // After cdcrctl obstacle remove the robot still holds for this reason, which is over.
     (status.mode, status.reason) = (Mode::Holding.code(), Reason::ObstacleSourceSilent.code());
-    let over = "(obstacles.source_timeout_ms); not any more: track again)";
+    let over =
+        "(obstacles.source_timeout_ms); not any more: feed the reference, or go home, again)";
     assert!(!shown(&status).contains(over), "{}", shown(&status));
     status.silent_obstacle_source = 0;
     assert!(shown(&status).contains(over), "{}", shown(&status));
