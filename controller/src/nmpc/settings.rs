@@ -61,7 +61,7 @@ crate::parameters! {
     /// lacks, refined by Gauss-Newton.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-    #[serde(default, deny_unknown_fields)]
+    #[serde(default, deny_unknown_fields, expecting = "a table")]
     pub struct NmpcSettings {
         /// "kpso-refined": Gauss-Newton, then the swarm where an error remains. "kpso": only the paper's swarm.
         /// "gauss-newton": damped steps from the last plan, and from the best candidate where an error remains.

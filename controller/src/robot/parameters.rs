@@ -43,7 +43,7 @@ crate::parameters! {
     /// One section as a configuration file gives it. Not yet checked: [`Robot::new`] does that.
     #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
     #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-    #[serde(deny_unknown_fields)]
+    #[serde(deny_unknown_fields, expecting = "a table")]
     pub struct SectionParameters {
         /// Length of the backbone, {range}.
         length_m: f64, in ranges::LENGTH_M, "above cable_radius_m";

@@ -12,8 +12,8 @@ use serde::Serialize;
 
 use super::tuning::TuningPreset;
 use crate::config::{
-    ConfigDraft, ConfigError, DEFAULT_TEXT, Layers, Origin, RealtimeConfig, RealtimeMode,
-    SCHEMA_TEXT, Validated, explain,
+    ConfigDraft, ConfigError, DEFAULT_TEXT, Layers, RealtimeConfig, RealtimeMode, SCHEMA_TEXT,
+    Validated, explain,
 };
 use crate::instance::{InstanceError, is_in_memory};
 use crate::system::can_be_pinned;
@@ -110,14 +110,13 @@ impl ConfigSource {
             ("transport.prefix", "CDCR_PREFIX"),
             ("transport.root", "CDCR_ROOT"),
         ] {
-            let origin = Origin::Variable(name.to_owned());
-            layers = with(layers, key, variable(name), &origin)?;
+            layers = with(layers, key, variable(name), name)?;
         }
         for (key, value) in self.tuning.into_iter().flat_map(TuningPreset::keys) {
-            layers = layers.key(key, value, &Origin::Option("--tuning"))?;
+            layers = layers.key(key, value, "--tuning")?;
         }
         for (key, value) in &self.set {
-            layers = layers.key(key, value, &Origin::Option("--set"))?;
+            layers = layers.key(key, value, "--set")?;
         }
         for (key, name, value) in [
             ("robot.name", "--robot", self.robot.clone()),
@@ -128,7 +127,7 @@ impl ConfigSource {
                 self.root.clone().map(PathBuf::into_os_string),
             ),
         ] {
-            layers = with(layers, key, value, &Origin::Option(name))?;
+            layers = with(layers, key, value, name)?;
         }
         layers.settings()
     }
@@ -144,7 +143,7 @@ fn with(
     layers: Layers,
     key: &str,
     value: Option<OsString>,
-    origin: &Origin,
+    origin: &str,
 ) -> Result<Layers, ConfigError> {
     match value {
         None => Ok(layers),

@@ -5,7 +5,7 @@ use cdcr_controller::reference::{ApproachLimits, EXCURSION_SHARE};
 use cdcr_shared_types::limits::PERIOD_MS_MAX;
 use serde::{Deserialize, Serialize};
 
-use super::{LinkKind, ns};
+use super::ns;
 
 table! {
     /// How the robot's motors follow their commands, and the cables the motors.
@@ -24,15 +24,6 @@ impl ActuatorConfig {
     /// Lag of a robot in even motion behind its commands \[ms\].
     pub fn lead_ms(&self) -> f64 {
         self.delay_ms + self.time_constant_ms
-    }
-
-    /// The model of the motors and cables.
-    pub fn model(&self) -> Actuator {
-        Actuator {
-            delay_s: self.delay_ms * 1e-3,
-            time_constant_s: self.time_constant_ms * 1e-3,
-            play_m: self.play_m,
-        }
     }
 }
 
@@ -79,9 +70,6 @@ table! {
 }
 
 impl CycleConfig {
-    /// Level of the full leaky bucket if the configuration sets no `miss_limit`: 200 ms without control at 5
-    /// ms.
-    pub const MISS_LIMIT: u32 = 40;
     /// Smallest cost of one gather and one publication, with a reserve for slower machines \[ns\].
     pub const EXCHANGE_NS: u64 = 40_000;
 
@@ -155,31 +143,17 @@ table! {
 }
 
 impl MotionConfig {
-    /// Default acceleration limit of a robot with motors \[rad/s²\].
-    pub const ACCELERATION_RAD_S2: f64 = 40.0;
-
     /// Limits of the approach for a robot of length `reach_m` \[m\]; `None`: no limits. `is_ideal` selects
     /// the default.
     pub fn approach_limits(&self, is_ideal: bool, reach_m: f64) -> Option<ApproachLimits> {
-        let is_direct = match self.approach {
-            ApproachKind::Auto => is_ideal,
-            ApproachKind::Direct => true,
-            ApproachKind::Smooth | ApproachKind::Refuse => false,
-        };
+        let is_auto = self.approach == ApproachKind::Auto;
+        let is_direct = self.approach == ApproachKind::Direct || (is_auto && is_ideal);
         (!is_direct).then_some(ApproachLimits {
             speed_m_s: self.approach_speed_m_s,
             acceleration_m_s2: self.approach_acceleration_m_s2,
             excursion_m: EXCURSION_SHARE * reach_m,
             turn_rad_s: self.home_rate_rad_s,
         })
-    }
-
-    /// Largest distance between the tip and a reference to be tracked \[m\].
-    pub fn approach_distance_m(&self) -> f64 {
-        match self.approach {
-            ApproachKind::Refuse => self.approach_distance_m,
-            _ => f64::INFINITY,
-        }
     }
 }
 
@@ -238,20 +212,6 @@ table! {
         /// Reaction to a silent source. "hold": the robot holds until the source sends again or its supervision ends.
         /// "keep": the robot continues. In both cases the obstacles stay at their last positions.
         source_silent: SourceSilent = SourceSilent::Hold;
-    }
-}
-
-impl ObstaclesConfig {
-    /// Default timeout of the obstacle sources for a robot behind a driver \[ms\].
-    const DRIVER_SOURCE_TIMEOUT_MS: f64 = 500.0;
-
-    /// The timeout in force for a robot \[ms\].
-    pub(super) fn source_timeout_ms(&self, robot: LinkKind) -> f64 {
-        match (self.source_timeout_ms, robot) {
-            (-1.0, LinkKind::Driver) => Self::DRIVER_SOURCE_TIMEOUT_MS,
-            (-1.0, LinkKind::Simulated) => 0.0,
-            (timeout_ms, _) => timeout_ms,
-        }
     }
 }
 

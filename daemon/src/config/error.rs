@@ -1,51 +1,37 @@
 use std::borrow::Cow;
-use std::io::ErrorKind;
-use std::path::{Path, PathBuf};
+use std::fmt::Display;
 
-use super::layers::line_at;
-use super::{Origin, keys};
+use super::keys;
 
-/// An error of a configuration with its place.
+/// What is wrong with a configuration, with its place and the allowed values.
 #[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("cannot read the configuration {}: {cause}{}", short(&file.display().to_string()), start(file, cause))]
-    Unreadable {
-        file: PathBuf,
-        cause: std::io::Error,
-    },
-    /// The text is not TOML.
-    #[error("{}: {cause}", file.display())]
-    Syntax {
-        file: PathBuf,
-        /// The parser's message: line, column, the line itself, and what was expected.
-        cause: String,
-    },
-    /// An unknown key.
-    #[error("{}unknown key {key}: {}", place(origin), remedy(*nearest), key = short(key))]
-    Unknown {
-        origin: Origin,
-        key: String,
-        /// The most similar known key.
-        nearest: Option<&'static str>,
-    },
-    /// A value is not allowed.
-    #[error("{}{key}: {message}", place(origin), key = short(key), message = short(message))]
-    Value {
-        origin: Origin,
-        key: String,
-        /// The error, and the allowed values.
-        message: String,
-    },
-}
+#[error("{0}")]
+pub struct ConfigError(String);
+
+/// A result that is refused with the place.
+pub(super) type Result<T> = std::result::Result<T, ConfigError>;
 
 impl ConfigError {
-    pub(super) fn unknown(key: &str, origin: Origin) -> Self {
-        Self::Unknown {
-            origin,
-            key: key.to_owned(),
-            nearest: keys::nearest(key),
-        }
+    /// The value of a key is not allowed.
+    pub(super) fn new(place: Option<&str>, key: &str, message: impl Display) -> Self {
+        let message = message.to_string();
+        let (key, message) = (short(key), short(message.trim_end()));
+        Self::at(place, format_args!("{key}: {message}"))
+    }
+
+    pub(super) fn unknown(place: Option<&str>, key: &str) -> Self {
+        let remedy = match keys::nearest(key) {
+            Some(key) => format!("did you mean {key}?"),
+            None => "see `cdcrd config default` for all keys".to_owned(),
+        };
+        Self::at(place, format_args!("unknown key {}: {remedy}", short(key)))
+    }
+
+    pub(super) fn at(place: Option<&str>, message: impl Display) -> Self {
+        Self(match place {
+            Some(place) => format!("{place}: {message}"),
+            None => message.to_string(),
+        })
     }
 }
 
@@ -65,56 +51,23 @@ pub(super) fn short(text: &str) -> Cow<'_, str> {
     format!("{start} … {end}").into()
 }
 
-/// The command for a first configuration if there is no file.
-fn start(file: &Path, cause: &std::io::Error) -> String {
-    if cause.kind() != ErrorKind::NotFound {
-        return String::new();
-    }
-    let file = file.display().to_string();
-    format!("\n`cdcrd config default > {}` creates one", short(&file))
-}
-
-fn place(origin: &Origin) -> String {
-    match origin {
-        Origin::Default => String::new(),
-        set => format!("{set}: "),
-    }
-}
-
-fn remedy(nearest: Option<&str>) -> String {
-    match nearest {
-        Some(key) => format!("did you mean {key}?"),
-        None => "see `cdcrd config default` for all keys".to_owned(),
-    }
-}
-
-/// The parser's message about a syntax error, with the line itself unless it is too long.
-pub(super) fn syntax(text: &str, error: &toml::de::Error) -> String {
-    let shown = for_people(&error.to_string());
-    let offset = error.span().map_or(0, |span| span.start);
-    let hint = decimal_point(is_decimal_comma(text, offset));
-    if shown.lines().all(|line| line.chars().count() <= QUOTED_MAX) {
-        return shown + hint;
-    }
-    let line = line_at(text, offset);
-    let message = for_people(error.message());
-    format!("line {line}: {}{hint}", short(&message))
-}
-
 /// What an error adds if a number has a comma.
-pub(super) fn decimal_point(is_comma: bool) -> &'static str {
-    if is_comma {
-        "; numbers have a decimal point: 0.25, not 0,25"
-    } else {
-        ""
-    }
-}
+pub(super) const DECIMAL_POINT: &str = "; numbers have a decimal point: 0.25, not 0,25";
 
-/// The byte at `offset` is a comma between two digits.
-fn is_decimal_comma(text: &str, offset: usize) -> bool {
-    let bytes = text.as_bytes();
-    let is_digit = |at: usize| bytes.get(at).is_some_and(u8::is_ascii_digit);
-    bytes.get(offset) == Some(&b',') && offset > 0 && is_digit(offset - 1) && is_digit(offset + 1)
+/// The parser's message about a syntax error: line, column, the line itself unless it is too long, and what was
+/// expected.
+pub(super) fn syntax(text: &str, error: &toml::de::Error) -> String {
+    let offset = error.span().map_or(0, |span| span.start);
+    let (before, after) = text.split_at_checked(offset).unwrap_or_default();
+    let mut shown = error.to_string();
+    if shown.lines().any(|line| line.chars().count() > QUOTED_MAX) {
+        let line = 1 + before.matches('\n').count();
+        shown = format!("line {line}: {}", short(error.message()));
+    }
+    let is_digit = |c: char| c.is_ascii_digit();
+    let fraction = after.strip_prefix(',').unwrap_or_default();
+    let is_comma = before.ends_with(is_digit) && fraction.starts_with(is_digit);
+    shown.trim_end().to_owned() + if is_comma { DECIMAL_POINT } else { "" }
 }
 
 /// The parser's message without Rust type names.
@@ -129,15 +82,6 @@ pub(super) fn for_people(message: &str) -> String {
         ("expected a string", "expected a string, in quotes"),
         ("expected a sequence", "expected a list"),
     ];
-    let mut text = message.to_owned();
-    for (rust, plain) in words {
-        text = text.replace(rust, plain);
-    }
-    while let Some(start) = text.find("expected struct ") {
-        let end = text[start + 16..]
-            .find(|c: char| !c.is_alphanumeric())
-            .map_or(text.len(), |length| start + 16 + length);
-        text.replace_range(start..end, "expected a table");
-    }
-    text.trim_end().to_owned()
+    let replace = |text: String, (rust, plain): (&str, &str)| text.replace(rust, plain);
+    words.into_iter().fold(message.to_owned(), replace)
 }

@@ -1,7 +1,8 @@
 use serde_json::Value;
 
+use super::error::Result;
 use super::keys::{self, Key};
-use super::{Config, ConfigDraft, ConfigError, Origin};
+use super::{Config, ConfigDraft, ConfigError};
 
 /// A JSON schema of the configuration (draft 2020-12), generated from the declarations. It is committed, so
 /// that the program needs no generator; a test compares it, and writes it if `CDCR_GENERATE` is set.
@@ -9,10 +10,10 @@ pub const SCHEMA_TEXT: &str = include_str!("../../../configs/schema.json");
 
 /// Explains a key, like `cycle.period_ms`, or a table with its keys: description, type, range, default,
 /// present value and its origin.
-pub fn explain(key: &str, settings: &ConfigDraft) -> Result<String, ConfigError> {
+pub fn explain(key: &str, settings: &ConfigDraft) -> Result<String> {
     let name = keys::without_indices(key);
     if keys::get(&name).is_none() {
-        return Err(ConfigError::unknown(&name, Origin::Default));
+        return Err(ConfigError::unknown(None, &name));
     }
     let schema = serde_json::from_str(SCHEMA_TEXT).unwrap_or_default();
     let below = format!("{name}.");
@@ -42,7 +43,7 @@ fn about(key: &Key, node: &Value, settings: &ConfigDraft) -> String {
         None => range,
     });
     let value_in_force = value(&settings.config, &key.name);
-    let origin = settings.origins.get(&key.name);
+    let origin = settings.origins.get(&key.name).unwrap_or("default");
     let variable = key.default.as_ref().map(|_| keys::variable(&key.name));
     let facts = [
         ("type", kind(node).map(str::to_owned)),
@@ -50,7 +51,7 @@ fn about(key: &Key, node: &Value, settings: &ConfigDraft) -> String {
         ("usual", parameter.usual_text()),
         ("default", value(&Config::default(), &key.name)),
         ("value", value_in_force.clone()),
-        ("from", value_in_force.map(|_| origin.to_string())),
+        ("from", value_in_force.map(|_| origin.to_owned())),
         ("variable", variable),
     ];
     let fact = |(name, fact): (_, Option<String>)| Some(format!("  {name:<9} {}", fact?));
@@ -87,16 +88,21 @@ fn kind(node: &Value) -> Option<&'static str> {
 /// The value of a key; for a key of a list of tables, the values of all tables.
 fn value(config: &Config, key: &str) -> Option<String> {
     let values = keys::values(config);
-    if let Some(value) = keys::value(&values, key) {
-        return Some(match value.as_array() {
-            Some(list) if list.iter().any(toml::Value::is_table) => {
-                format!("{} tables, key by key below", list.len())
-            }
-            _ => keys::text(value),
-        });
+    let each = keys::each(&values, key);
+    let tables = |list: &Vec<_>| {
+        list.first()
+            .is_some_and(toml::Value::is_table)
+            .then_some(list.len())
+    };
+    match &*each {
+        [] => None,
+        [(name, value)] if name == key => match value.as_array().and_then(tables) {
+            Some(count) => Some(format!("{count} tables, key by key below")),
+            None => Some(keys::text(value)),
+        },
+        each => {
+            let each: Vec<_> = each.iter().map(|(_, value)| keys::text(value)).collect();
+            Some(each.join(", ") + " (base first)")
+        }
     }
-    let (list, name) = key.rsplit_once('.')?;
-    let tables = keys::value(&values, list)?.as_array()?.iter();
-    let each = tables.filter_map(|table| Some(keys::text(table.get(name)?)));
-    Some(each.collect::<Vec<_>>().join(", ") + " (base first)")
 }

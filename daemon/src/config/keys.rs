@@ -36,8 +36,7 @@ static KEYS: LazyLock<Vec<Key>> = LazyLock::new(|| {
 
 fn collect(above: &str, defaults: &Table, keys: &mut Vec<Key>) {
     for parameter in below(above) {
-        let dot = if above.is_empty() { "" } else { "." };
-        let name = format!("{above}{dot}{}", parameter.name);
+        let name = join(above, parameter.name);
         keys.push(Key {
             name: name.clone(),
             parameter,
@@ -45,6 +44,12 @@ fn collect(above: &str, defaults: &Table, keys: &mut Vec<Key>) {
         });
         collect(&name, defaults, keys);
     }
+}
+
+/// The name of a key in a table, or of a table at the top level (`""`).
+pub(super) fn join(above: &str, name: &str) -> String {
+    let dot = if above.is_empty() { "" } else { "." };
+    format!("{above}{dot}{name}")
 }
 
 /// The declarations at the top level (`""`), in a table, or in a list of tables.
@@ -74,13 +79,28 @@ pub(super) fn settable() -> impl Iterator<Item = (&'static str, &'static Value)>
 
 /// The values of a configuration, table by table.
 pub(super) fn values(config: &Config) -> Table {
-    Table::try_from(config).unwrap_or_default()
+    Table::try_from(config).expect("values from TOML can be written as TOML")
 }
 
 /// The value of a settable key.
 pub(super) fn value<'a>(values: &'a Table, key: &str) -> Option<&'a Value> {
     let (table, name) = key.split_once('.')?;
     values.get(table)?.get(name)
+}
+
+/// The values of a key with their keys: one, or that of each table of a list.
+pub(super) fn each<'a>(values: &'a Table, key: &str) -> Vec<(String, &'a Value)> {
+    if let Some(value) = value(values, key) {
+        return vec![(key.to_owned(), value)];
+    }
+    let (list, name) = key.rsplit_once('.').unwrap_or_default();
+    let tables = value(values, list)
+        .and_then(Value::as_array)
+        .into_iter()
+        .flatten()
+        .enumerate();
+    let each = tables.map(|(index, table)| (format!("{list}[{index}].{name}"), &table[name]));
+    each.collect()
 }
 
 /// A value as TOML, a small number with an exponent: TOML's own text of 1e-20 has all its zeros.
@@ -106,24 +126,21 @@ pub(super) fn variable(key: &str) -> String {
 
 /// `robot.sections[1].length_m` as `robot.sections.length_m`.
 pub(super) fn without_indices(key: &str) -> String {
-    let parts = key.split('.').map(|part| part.split('['));
-    let names = parts.filter_map(|mut part| part.next());
+    let names = key.split('.').filter_map(|part| part.split('[').next());
     names.collect::<Vec<_>>().join(".")
 }
 
 /// The most similar of the known names, if it is similar enough. Long names are skipped: their similarity
 /// takes long to compute.
-fn best<T: Ord>(
+fn best<'a>(
     unknown: &str,
-    known: impl Iterator<Item = T>,
-    likeness: impl Fn(&T) -> f64,
-) -> Option<T> {
-    let scored = known
-        .take_while(|_| unknown.len() <= MISSPELT_MAX)
-        .map(|known| (likeness(&known), known));
-    let best = scored.max_by(|a, b| a.0.total_cmp(&b.0).then_with(|| b.1.cmp(&a.1)));
-    best.filter(|(score, _)| *score >= ALIKE)
-        .map(|(_, known)| known)
+    known: impl Iterator<Item = &'a str>,
+    likeness: impl Fn(&str) -> f64,
+) -> Option<&'a str> {
+    let known = known.take_while(|_| unknown.len() <= MISSPELT_MAX);
+    let scored = known.map(|known| (likeness(known), known));
+    let best = scored.max_by(|a, b| a.0.total_cmp(&b.0).then_with(|| b.1.cmp(a.1)))?;
+    (best.0 >= ALIKE).then_some(best.1)
 }
 
 /// The known key most similar to `unknown`.
@@ -141,67 +158,24 @@ fn likeness(unknown: &str, known: &str) -> f64 {
     let part = if is_part { ALIKE } else { 0.0 };
     let bonus = SAME_TABLE * f64::from(u8::from(table == known_table));
     let of_names = strsim::jaro_winkler(name, known_name).max(part) + bonus;
-    let [flat, known_flat] = [unknown, known].map(|key| key.replace('.', "_"));
-    of_names.max(strsim::normalized_damerau_levenshtein(&flat, &known_flat))
+    of_names.max(flat_likeness(&unknown.replace('.', "_"), known))
+}
+
+fn flat_likeness(unknown: &str, known: &str) -> f64 {
+    strsim::normalized_damerau_levenshtein(unknown, &known.replace('.', "_"))
 }
 
 /// The variable of a known key most similar to the variable `unknown`.
 pub(super) fn nearest_variable(unknown: &str) -> Option<String> {
-    let name = |variable: &str| variable.trim_start_matches("CDCR_").to_owned();
-    best(unknown, settable().map(|(key, _)| variable(key)), |known| {
-        strsim::normalized_damerau_levenshtein(&name(unknown), &name(known))
-    })
+    let name = unknown.trim_start_matches("CDCR_").to_lowercase();
+    let known = settable().map(|(key, _)| key);
+    best(unknown, known, |known| flat_likeness(&name, known)).map(variable)
 }
 
-#[cfg(test)]
-mod tests {
-    use std::collections::BTreeSet;
-
-    use super::*;
-
-    #[test]
-    fn the_nearest_key_is_the_one_that_was_meant() {
-        for (meant, misspelt) in [
-            (
-                "cycle.period_ms",
-                "cycle.periodms cycle.period cycle.perriod_ms cycle.PERIOD_MS cycle_period_ms period_ms robot.period_ms \
-                 cycles.period_ms",
-            ),
-            ("cycle", "cycl"),
-            ("controller", "controler"),
-            (
-                "controller.swarm_size",
-                "nmpc.swarm_size cycle.swarm_size controller.swarmsize",
-            ),
-            ("controller.horizon_steps", "controller.horizon"),
-            ("robot.sections", "robot.section"),
-            (
-                "robot.sections.length_m",
-                "robot.sections[1].lenght_m robot.length_m",
-            ),
-            ("realtime.cycle_priority", "realtime.priority"),
-            ("safety.clearance_fault_m", "safety.clearance_m"),
-            ("link.measurement_timeout_ms", "link.timeout_ms"),
-        ] {
-            for unknown in misspelt.split(' ') {
-                assert_eq!(nearest(unknown), Some(meant), "{unknown}");
-            }
-        }
-        for foreign in ["", ".", "xyz", "cycle.colour", "π.ß[", "logging.verbose"] {
-            assert_eq!(nearest(foreign), None, "{foreign}");
-        }
-    }
-
-    #[test]
-    fn every_key_has_a_variable_of_its_own_and_those_of_other_programs_are_not_near() {
-        let short = ["CDCR_CONFIG", "CDCR_ROBOT", "CDCR_PREFIX", "CDCR_ROOT"].map(str::to_owned);
-        let mut all = settable().map(|(key, _)| variable(key)).chain(short);
-        let mut known = BTreeSet::new();
-        assert!(all.all(|variable| known.insert(variable)));
-        let near = nearest_variable("CDCR_CYCLE_PERIOD");
-        assert_eq!(near.as_deref(), Some("CDCR_CYCLE_PERIOD_MS"));
-        for foreign in "CDCR_TEST_SECONDS CDCR_SOAK_MINUTES CDCR_KEEP_PICTURES CDCR_".split(' ') {
-            assert_eq!(nearest_variable(foreign), None, "{foreign}");
-        }
-    }
+#[test]
+fn every_key_has_a_variable_of_its_own() {
+    let short = ["CDCR_CONFIG", "CDCR_ROBOT", "CDCR_PREFIX", "CDCR_ROOT"].map(str::to_owned);
+    let mut all = settable().map(|(key, _)| variable(key)).chain(short);
+    let mut known = std::collections::BTreeSet::new();
+    assert!(all.all(|variable| known.insert(variable)));
 }

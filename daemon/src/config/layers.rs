@@ -7,11 +7,11 @@ use std::str::FromStr;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-use super::error::{decimal_point, for_people, syntax};
-use super::{Config, ConfigDraft, ConfigError, Origin, Origins, keys};
+use super::error::{DECIMAL_POINT, Result, for_people, short, syntax};
+use super::{Config, ConfigDraft, ConfigError, Origins, keys};
 
 /// Largest configuration \[bytes\]: a hundred times one with every key.
-const FILE_BYTES_MAX: u64 = 1 << 20;
+const FILE_BYTES_MAX: usize = 1 << 20;
 
 /// Layers of settings: a later layer overrides an earlier one, key by key. Begin with the file.
 #[derive(Debug, Clone, Default)]
@@ -22,24 +22,27 @@ pub struct Layers {
 
 impl Layers {
     /// Adds the settings of a file.
-    pub fn file(self, path: &Path) -> Result<Self, ConfigError> {
-        let file = path.to_owned();
-        let text = read(path).map_err(|cause| ConfigError::Unreadable { file, cause })?;
+    pub fn file(self, path: &Path) -> Result<Self> {
+        let text = read(path).map_err(|cause| {
+            let name = path.display().to_string();
+            let (file, is_missing) = (short(&name), cause.kind() == io::ErrorKind::NotFound);
+            let start = format!("\n`cdcrd config default > {file}` creates one");
+            let start = if is_missing { &*start } else { "" };
+            let message = format_args!("cannot read the configuration {file}: {cause}{start}");
+            ConfigError::at(None, message)
+        })?;
         self.text(&text, path)
     }
 
     /// Adds the settings in the text of a file; `file` is for messages.
-    pub fn text(mut self, text: &str, file: &Path) -> Result<Self, ConfigError> {
-        let places = places(text).map_err(|error| ConfigError::Syntax {
-            file: file.to_owned(),
-            cause: syntax(text, &error),
-        })?;
+    pub fn text(mut self, text: &str, file: &Path) -> Result<Self> {
+        let whole = file.display().to_string();
+        self.origins.set(String::new(), whole.clone());
         // Every element of a list has a line of its own.
         let line_ends: Vec<usize> = text.match_indices('\n').map(|(end, _)| end).collect();
-        self.origins.file = Some(file.to_owned());
-        self.add(text, &places, |offset| Origin::File {
-            file: file.to_owned(),
-            line: Some(1 + line_ends.partition_point(|end| *end < offset)),
+        let line = |offset| 1 + line_ends.partition_point(|end| *end < offset);
+        self.add(text, &whole, |offset| {
+            format!("{whole}, line {}", line(offset))
         })
     }
 
@@ -49,19 +52,15 @@ impl Layers {
     pub fn variables(
         mut self,
         variables: impl IntoIterator<Item = (OsString, OsString)>,
-    ) -> Result<(Self, Vec<String>), ConfigError> {
+    ) -> Result<(Self, Vec<String>)> {
         let mut warnings = Vec::new();
-        for (name, value) in variables {
+        for (name, value) in variables.into_iter().filter(|(_, value)| !value.is_empty()) {
             let Some(name) = name.to_str().filter(|name| name.starts_with("CDCR_")) else {
                 continue;
             };
-            if value.is_empty() {
-                continue;
-            }
             let mut known = keys::settable().map(|(key, _)| key);
             if let Some(key) = known.find(|key| keys::variable(key) == name) {
-                let origin = Origin::Variable(name.to_owned());
-                self = self.key(key, text_of(&value, key, &origin)?, &origin)?;
+                self = self.key(key, text_of(&value, key, name)?, name)?;
             } else if let Some(near) = keys::nearest_variable(name) {
                 warnings.push(format!("{name} sets nothing: did you mean {near}?"));
             }
@@ -70,72 +69,63 @@ impl Layers {
     }
 
     /// Sets one key, as TOML; a string needs no quotes.
-    pub fn key(self, key: &str, text: &str, origin: &Origin) -> Result<Self, ConfigError> {
+    pub fn key(self, key: &str, text: &str, origin: &str) -> Result<Self> {
         let known = keys::get(key).and_then(|known| known.default.as_ref());
         let default = known.ok_or_else(|| not_settable(key, origin))?;
-        let value = value_of(text, default).map_err(|message| origin.error(key, &message))?;
+        let value = value_of(text, default);
+        let value = value.map_err(|message| ConfigError::new(Some(origin), key, message))?;
         self.put(key, &value, origin)
     }
 
     /// Sets one key to a string with any content.
-    pub fn string(self, key: &str, text: &OsStr, origin: &Origin) -> Result<Self, ConfigError> {
+    pub fn string(self, key: &str, text: &OsStr, origin: &str) -> Result<Self> {
         self.put(key, &text_of(text, key, origin)?.into(), origin)
     }
 
-    fn put(self, key: &str, value: &Value, origin: &Origin) -> Result<Self, ConfigError> {
-        let text = format!("{key} = {value}");
-        let places = places(&text).map_err(|cause| origin.error(key, cause.message()))?;
-        self.add(&text, &places, |_| origin.clone())
+    fn put(self, key: &str, value: &Value, origin: &str) -> Result<Self> {
+        self.add(&format!("{key} = {value}"), origin, |_| origin.to_owned())
     }
 
-    /// Checks the keys and types of a text, and adds its settings; `origin` is the origin of a byte of the
-    /// text.
-    fn add(
-        mut self,
-        text: &str,
-        places: &[KeyPlace],
-        origin: impl Fn(usize) -> Origin,
-    ) -> Result<Self, ConfigError> {
+    /// Checks the keys and types of a text, and adds its settings; `whole` is the origin of the text, `origin`
+    /// that of a byte of it.
+    fn add(mut self, text: &str, whole: &str, origin: impl Fn(usize) -> String) -> Result<Self> {
+        let invalid = |error| ConfigError::at(Some(whole), syntax(text, &error));
+        let places = places(text).map_err(invalid)?;
         let mut each = places.iter();
         if let Some(place) = each.find(|place| keys::get(&place.declared).is_none()) {
-            return Err(ConfigError::unknown(&place.key, origin(place.offset)));
-        }
-        if let Some(place) = places.iter().find(|place| place.is_table_for_list) {
-            return Err(origin(place.offset).error(&place.key, &list_remedy(&place.key)));
+            let origin = origin(place.offset);
+            return Err(ConfigError::unknown(Some(&origin), &place.key));
         }
         // The innermost key that contains the value.
         let mistyped = |cause: toml::de::Error| {
             let offset = cause.span().map_or(0, |span| span.start);
-            let inner = places.iter().rfind(|place| place.offset <= offset);
+            let exact = places.iter().filter(|place| place.value == offset);
+            let inner = exact.max_by_key(|place| place.key.len());
+            let inner = inner.or_else(|| places.iter().rfind(|place| place.offset <= offset));
             let key = inner.map_or("the file", |place| &place.key);
-            let message = for_people(cause.message()) + simulated_remedy(key, cause.message());
-            origin(offset).error(key, &message)
+            let message = type_message(key, cause.message());
+            ConfigError::new(Some(&origin(offset)), key, message)
         };
         toml::from_str::<Config>(text).map_err(mistyped)?;
-        let values: Table = toml::from_str(text).map_err(mistyped)?;
-        for (table, keys) in values {
+        for (table, keys) in toml::from_str::<Table>(text).map_err(mistyped)? {
             let below = self.values.entry(&table);
             let below = below.or_insert_with(|| Table::new().into());
             if let (Value::Table(below), Value::Table(keys)) = (below, keys) {
-                for key in keys.keys() {
-                    self.origins.forget(&format!("{table}.{key}"));
-                }
                 below.extend(keys);
             }
         }
-        for KeyPlace { key, offset, .. } in places {
-            self.origins.set(key.clone(), origin(*offset));
+        for Place { key, offset, .. } in places {
+            self.origins.set(key, origin(offset));
         }
         Ok(self)
     }
 
     /// All layers as one typed configuration.
-    pub fn settings(self) -> Result<ConfigDraft, ConfigError> {
-        let Self { values, origins } = self;
+    pub fn settings(self) -> Result<ConfigDraft> {
         // Parsed from text, like each layer: a second deserialiser would add code.
-        let config = toml::from_str(&values.to_string())
-            .map_err(|cause| Origin::Default.error("the configuration", cause.message()))?;
-        Ok(ConfigDraft::new(config, origins))
+        let config = toml::from_str(&self.values.to_string());
+        let config = config.map_err(|cause| ConfigError::at(None, cause.message()))?;
+        Ok(ConfigDraft::new(config, self.origins))
     }
 }
 
@@ -145,137 +135,114 @@ fn read(path: &Path) -> io::Result<String> {
     if !std::fs::metadata(path)?.is_file() {
         return Err(io::Error::other("it is not a file"));
     }
-    let mut text = String::new();
-    let file = File::open(path)?;
-    let read = file.take(FILE_BYTES_MAX + 1).read_to_string(&mut text);
-    read.map_err(|cause| match cause.kind() {
-        io::ErrorKind::InvalidData => {
-            io::Error::other("it is not UTF-8 text: save it with this encoding")
-        }
-        _ => cause,
-    })?;
-    if text.len() as u64 > FILE_BYTES_MAX {
+    let (file, mut bytes) = (File::open(path)?, Vec::new());
+    file.take(FILE_BYTES_MAX as u64 + 1)
+        .read_to_end(&mut bytes)?;
+    if bytes.len() > FILE_BYTES_MAX {
         return Err(io::Error::other("it is larger than 1 MiB"));
     }
-    Ok(text)
+    let not_text = |_| io::Error::other("it is not UTF-8 text: save it with this encoding");
+    String::from_utf8(bytes).map_err(not_text)
 }
 
 /// A table, a key or a list element in a text.
-struct KeyPlace {
+#[derive(Default)]
+struct Place {
     /// As declared: `robot.sections.length_m`.
     declared: String,
     /// As in messages: `robot.sections[1].length_m`.
     key: String,
     /// Byte offset in the text.
     offset: usize,
-    /// A table was written where the key is a list.
-    is_table_for_list: bool,
+    /// Byte offset of the value; that of a table is its heading.
+    value: usize,
 }
 
 /// All places in a text, in its order.
-fn places(text: &str) -> Result<Vec<KeyPlace>, toml::de::Error> {
+fn places(text: &str) -> std::result::Result<Vec<Place>, toml::de::Error> {
     let mut places = Vec::new();
-    below_table(DeTable::parse(text)?.get_ref(), "", "", &mut places);
+    let table = DeValue::Table(DeTable::parse(text)?.into_inner());
+    add_places(&table, Place::default(), &mut places);
+    // The text itself.
+    places.pop();
     places.sort_by_key(|place| place.offset);
     Ok(places)
 }
 
-fn below_table(table: &DeTable, declared: &str, key: &str, places: &mut Vec<KeyPlace>) {
-    let dot = if key.is_empty() { "" } else { "." };
-    for (name, value) in table {
-        let declared = format!("{declared}{dot}{}", name.get_ref());
-        let key = format!("{key}{dot}{}", name.get_ref());
-        below_value(value.get_ref(), &declared, &key, places);
-        let is_table = matches!(value.get_ref(), DeValue::Table(_));
-        places.push(KeyPlace {
-            is_table_for_list: is_table && is_list(&declared),
-            declared,
-            key,
-            offset: name.span().start,
-        });
-    }
-}
-
-fn is_list(key: &str) -> bool {
-    let default = keys::get(key).and_then(|known| known.default.as_ref());
-    default.is_some_and(Value::is_array)
-}
-
-/// How to write a list.
-fn list_remedy(key: &str) -> String {
-    let name = key.rsplit('.').next().unwrap_or(key);
-    if keys::below(key).is_empty() {
-        format!("is a list: write {name} = [ … ]")
-    } else {
-        format!("is a list: write [[{key}]], or {name} = [{{ … }}, {{ … }}]")
-    }
-}
-
-fn below_value(value: &DeValue, declared: &str, key: &str, places: &mut Vec<KeyPlace>) {
+/// Adds the places below a value, and its own.
+fn add_places(value: &DeValue, place: Place, places: &mut Vec<Place>) {
     match value {
-        DeValue::Table(table) if !keys::below(declared).is_empty() => {
-            below_table(table, declared, key, places);
+        DeValue::Table(table) if !keys::below(&place.declared).is_empty() => {
+            for (name, value) in table {
+                let below = Place {
+                    declared: keys::join(&place.declared, name.get_ref()),
+                    key: keys::join(&place.key, name.get_ref()),
+                    offset: name.span().start,
+                    value: value.span().start,
+                };
+                add_places(value.get_ref(), below, places);
+            }
         }
-        DeValue::Array(list) if keys::get(declared).is_some() => {
+        DeValue::Array(list) if keys::get(&place.declared).is_some() => {
             for (index, element) in list.iter().enumerate() {
-                let key = format!("{key}[{index}]");
-                below_value(element.get_ref(), declared, &key, places);
-                places.push(KeyPlace {
-                    declared: declared.to_owned(),
-                    key,
+                let below = Place {
+                    declared: place.declared.clone(),
+                    key: format!("{}[{index}]", place.key),
                     offset: element.span().start,
-                    is_table_for_list: false,
-                });
+                    value: element.span().start,
+                };
+                add_places(element.get_ref(), below, places);
             }
         }
         _ => {}
     }
+    places.push(place);
 }
 
-/// What an unknown preset of the simulated robot may have been meant for.
-fn simulated_remedy(key: &str, message: &str) -> &'static str {
-    if key == "link.simulated" && message.starts_with("unknown variant") {
-        "; a real robot is link.kind = \"driver\""
-    } else {
-        ""
+/// The parser's message about the type of a key, and how to write the value.
+fn type_message(key: &str, message: &str) -> String {
+    let name = key.rsplit('.').next().unwrap_or(key);
+    let is_table_for_list = message.starts_with("invalid type: map, expected a sequence");
+    let is_no_preset = key == "link.simulated" && message.starts_with("unknown variant");
+    match keys::below(key) {
+        [] if is_table_for_list => format!("is a list: write {name} = [ … ]"),
+        _ if is_table_for_list => {
+            format!("is a list: write [[{key}]], or {name} = [{{ … }}, {{ … }}]")
+        }
+        _ if is_no_preset => format!("{message}; a real robot is link.kind = \"driver\""),
+        _ => for_people(message),
     }
 }
 
-/// The line of a byte of a text, from 1.
-pub(super) fn line_at(text: &str, offset: usize) -> usize {
-    let before = text.as_bytes().iter().take(offset);
-    1 + before.filter(|byte| **byte == b'\n').count()
-}
-
-fn text_of<'a>(value: &'a OsStr, key: &str, origin: &Origin) -> Result<&'a str, ConfigError> {
-    let refused = || origin.error(key, &format!("{} is not UTF-8 text", value.display()));
+fn text_of<'a>(value: &'a OsStr, key: &str, origin: &str) -> Result<&'a str> {
+    let message = format_args!("{} is not UTF-8 text", value.display());
+    let refused = || ConfigError::new(Some(origin), key, message);
     value.to_str().ok_or_else(refused)
 }
 
 /// The reason why a key cannot be set by itself.
-fn not_settable(key: &str, origin: &Origin) -> ConfigError {
+fn not_settable(key: &str, origin: &str) -> ConfigError {
     let plain = keys::without_indices(key);
-    if keys::get(&plain).is_none() {
-        return ConfigError::unknown(key, origin.clone());
-    }
-    let message = match plain.rsplit_once('.') {
-        None => "is a table: set its keys one by one".to_owned(),
-        Some((list, _)) => format!("{list} is set as a whole: {list}=[{{ … }}, {{ … }}]"),
+    let message = match (keys::get(&plain), plain.rsplit_once('.')) {
+        (None, _) => return ConfigError::unknown(Some(origin), key),
+        (_, None) => "is a table: set its keys one by one".to_owned(),
+        (_, Some((list, _))) => format!("{list} is set as a whole: {list}=[{{ … }}, {{ … }}]"),
     };
-    origin.error(key, &message)
+    ConfigError::new(Some(origin), key, message)
 }
 
 /// A value as TOML; where a string is expected, a bare word is accepted.
-fn value_of(text: &str, default: &Value) -> Result<Value, String> {
-    let is_quoted = text.trim_start().starts_with(['"', '\'']);
+fn value_of(text: &str, default: &Value) -> std::result::Result<Value, String> {
+    let trimmed = text.trim();
+    let is_quoted = trimmed.starts_with(['"', '\'']);
     // A key whose default is "auto" may be a number.
-    let is_number = default.as_str() == Some("auto") && text.trim().parse::<f64>().is_ok();
+    let is_number = default.as_str() == Some("auto") && trimmed.parse::<f64>().is_ok();
     if default.is_str() && !is_quoted && !is_number {
         return Ok(text.into());
     }
-    Value::from_str(text.trim()).map_err(|_| {
-        let with_point = text.trim().replacen(',', ".", 1);
-        let hint = decimal_point(with_point.parse::<f64>().is_ok());
+    Value::from_str(trimmed).map_err(|_| {
+        let is_comma = trimmed.replacen(',', ".", 1).parse::<f64>().is_ok();
+        let hint = if is_comma { DECIMAL_POINT } else { "" };
         format!("invalid TOML value {text:?}: expected a value like {default}{hint}")
     })
 }

@@ -5,7 +5,8 @@ use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::counted;
 use serde::{Deserialize, Serialize};
 
-use super::{ConfigError, Origins, ns};
+use super::Origins;
+use super::error::Result;
 
 /// Which robot is controlled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -94,78 +95,62 @@ impl LinkConfig {
         self.kind == LinkKind::Simulated && self.simulated == RobotPreset::Ideal
     }
 
-    /// Validity of a command after its release \[ns\].
-    pub fn command_valid_ns(&self, period_ns: u64) -> u64 {
-        match ns(self.command_valid_ms) {
-            0 => 3 * period_ns,
-            valid_ns => valid_ns,
-        }
-    }
-
     /// Flaws of the simulated robot.
-    pub(super) fn flaws(&self, origins: &Origins) -> Result<Flaws, ConfigError> {
+    pub(super) fn flaws(&self, origins: &Origins) -> Result<Flaws> {
         let mut given = self.simulated_flaws.iter();
         let preset = self.simulated.flaws();
         let flaws = given.try_fold(preset, |flaws, (name, value)| flaws.with(name, *value));
-        flaws.map_err(|error| origins.error(&[FLAWS_KEY], &error.to_string()))
+        flaws.map_err(|error| origins.error(&[FLAWS_KEY], error))
     }
 
     /// True geometry of the simulated robot, if configured.
-    pub(super) fn truth(
-        &self,
-        robot: &Robot,
-        origins: &Origins,
-    ) -> Result<Option<Robot>, ConfigError> {
+    pub(super) fn truth(&self, robot: &Robot, origins: &Origins) -> Result<Option<Robot>> {
         let (given, key) = (&self.simulated_geometry, "link.simulated_geometry");
-        let is_refused = |message: &str| origins.error(&[key, "link.simulated"], message);
         let is_changed =
             !given.is_empty() || self.simulated_tip || !self.simulated_flaws.is_empty();
         if self.is_ideal() && is_changed {
-            return Err(origins.error(
-                &["link.simulated_tip", key, FLAWS_KEY, "link.simulated"],
-                "the ideal robot is exactly its model: simulated_geometry, simulated_flaws and simulated_tip need another \
-                 link.simulated, for example \"laboratory\"",
-            ));
+            let keys = ["link.simulated_tip", key, FLAWS_KEY, "link.simulated"];
+            let message = "the ideal robot is exactly its model: simulated_geometry, simulated_flaws and simulated_tip \
+                           need another link.simulated, for example \"laboratory\"";
+            return Err(origins.error(&keys, message));
         }
-        if given.is_empty() {
-            return Ok(None);
-        }
-        if given.len() != robot.section_count() {
-            let (is, should) = (counted(given.len(), "section"), robot.section_count());
-            let message = format!("{is} given, but the robot has {should}");
-            return Err(is_refused(&message));
-        }
-        let truth = true_robot(robot, given).map_err(|error| is_refused(&error.to_string()));
-        truth.map(Some)
+        let (is, should) = (counted(given.len(), "section"), robot.section_count());
+        let truth = match given.len() {
+            0 => return Ok(None),
+            count if count == should => true_robot(robot, given).map_err(|error| error.to_string()),
+            _ => Err(format!("{is} given, but the robot has {should}")),
+        };
+        let refused = |message| origins.error(&[key, "link.simulated"], message);
+        truth.map(Some).map_err(refused)
     }
 
     /// Initial configuration of the simulation of `robot`, or of its estimate.
-    pub(super) fn initial(
-        &self,
-        robot: &Robot,
-        origins: &Origins,
-    ) -> Result<Configuration, ConfigError> {
+    pub(super) fn initial(&self, robot: &Robot, origins: &Origins) -> Result<Configuration> {
         let (given, key) = (&self.initial_bend_rad, "link.initial_bend_rad");
         if given.is_empty() {
             return Ok(Configuration::straight(robot.section_count()));
         }
-        if given.len() != robot.section_count() {
+        let flat = Configuration::from_slice(given.as_flattened());
+        let initial = flat.filter(|flat| flat.section_count() == robot.section_count());
+        let initial = initial.ok_or_else(|| {
             let is = counted(given.len(), "pair");
             let should = counted(robot.section_count(), "section");
-            let message = format!("{is} given, but the robot has {should}");
-            return Err(origins.error(&[key], &message));
-        }
+            origins.error(
+                &[key],
+                format_args!("{is} given, but the robot has {should}"),
+            )
+        })?;
         for (index, (pair, section)) in given.iter().zip(robot.sections()).enumerate() {
-            let bend_rad = pair[0].hypot(pair[1]);
-            if !(0.0..=section.bend_max_rad).contains(&bend_rad) {
-                let (number, most) = (index + 1, section.bend_max_rad);
+            let (bend_rad, most) = (pair[0].hypot(pair[1]), section.bend_max_rad);
+            if !(0.0..=most).contains(&bend_rad) {
+                let key = format!("{key}[{index}]");
                 let message = format!(
-                    "section {number}: a bend of {bend_rad} rad is out of range: allowed is 0 to {most}"
+                    "section {}: a bend of {bend_rad} rad is out of range: allowed is 0 to {most}",
+                    index + 1
                 );
-                return Err(origins.error(&[&format!("{key}[{index}]")], &message));
+                return Err(origins.error(&[&key], message));
             }
         }
-        let flat: Vec<f64> = given.iter().flatten().copied().collect();
-        Configuration::from_slice(&flat).ok_or_else(|| origins.error(&[key], "too many sections"))
+        Ok(initial)
     }
 }

@@ -15,7 +15,7 @@ macro_rules! table {
             $(#[$doc])*
             #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
             #[cfg_attr(test, derive(schemars::JsonSchema))]
-            #[serde(default, deny_unknown_fields)]
+            #[serde(default, deny_unknown_fields, expecting = "a table")]
             pub struct $($table)+
         }
     };
@@ -36,11 +36,6 @@ macro_rules! tables {
                     $(stringify!($name) => <$table>::PARAMETERS,)+
                     _ => &[],
                 }
-            }
-
-            /// The numbers of each table, in the order of its parameters.
-            fn numbers_by_table(&self) -> Vec<(String, Vec<Option<f64>>)> {
-                vec![$((stringify!($name).to_owned(), self.$name.numbers().to_vec()),)+]
             }
         }
     };
@@ -72,11 +67,12 @@ pub use control::{
     REST_MAX_S, ReferenceConfig, SafetyConfig, SourceSilent,
 };
 pub use error::ConfigError;
+use error::Result;
 pub use explain::{SCHEMA_TEXT, explain};
 pub(crate) use keys::changed as changed_keys;
 pub use layers::Layers;
 pub use link::{Interface, LinkConfig, LinkKind, TipSensor};
-pub use origin::{Origin, Origins};
+pub use origin::Origins;
 pub use realtime::{RealtimeConfig, RealtimeMode};
 pub use robot::RobotConfig;
 pub(crate) use rules::numbers;
@@ -140,18 +136,18 @@ pub fn ns(milliseconds: f64) -> u64 {
 
 impl Config {
     /// Reads and validates a file, without environment and options.
-    pub fn load(path: &Path) -> Result<Validated, ConfigError> {
+    pub fn load(path: &Path) -> Result<Validated> {
         Layers::default().file(path)?.settings()?.validate()
     }
 
     /// Validates a text; `file` is for messages.
-    pub fn parse(text: &str, file: &Path) -> Result<Validated, ConfigError> {
+    pub fn parse(text: &str, file: &Path) -> Result<Validated> {
         Layers::default().text(text, file)?.settings()?.validate()
     }
 
     /// Validates a configuration that came from no file.
-    pub fn check(self) -> Result<Validated, ConfigError> {
-        ConfigDraft::from(self).validate()
+    pub fn check(self) -> Result<Validated> {
+        ConfigDraft::new(self, Origins::default()).validate()
     }
 }
 

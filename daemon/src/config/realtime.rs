@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use super::{LinkKind, ns};
+use super::ns;
 
 /// How much real time is asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -17,17 +17,6 @@ pub enum RealtimeMode {
     Prefer,
     /// Ordinary threads.
     Off,
-}
-
-impl RealtimeMode {
-    /// The mode in force for a robot.
-    pub(super) fn resolved_for(self, robot: LinkKind) -> Self {
-        match (self, robot) {
-            (Self::Auto, LinkKind::Driver) => Self::Require,
-            (Self::Auto, LinkKind::Simulated) => Self::Prefer,
-            (mode, _) => mode,
-        }
-    }
 }
 
 table! {
@@ -57,11 +46,13 @@ table! {
 impl RealtimeConfig {
     /// Time before each release at which the cycle thread wakes up, for a period of `period_ms` \[ns\].
     pub fn spin_ns(&self, period_ms: f64) -> u64 {
-        let spin_us = if self.spin_us < 0.0 {
-            (15.0 * period_ms).min(75.0)
-        } else {
-            self.spin_us
-        };
-        ns(spin_us * 1e-3)
+        let automatic_us = (15.0 * period_ms).min(75.0);
+        let is_automatic = self.spin_us < 0.0;
+        ns(1e-3
+            * if is_automatic {
+                automatic_us
+            } else {
+                self.spin_us
+            })
     }
 }

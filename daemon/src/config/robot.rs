@@ -1,7 +1,8 @@
 use cdcr_controller::robot::{self, Robot, RobotError, RobotParameters, SectionParameters};
 use cdcr_shared_types::Service;
 
-use super::{ConfigError, Origins};
+use super::Origins;
+use super::error::Result;
 
 table! {
     /// Geometry and limits of the robot.
@@ -24,26 +25,21 @@ table! {
 impl RobotConfig {
     /// Largest stroke of a cable with every section at its largest bend \[m\].
     pub(crate) fn full_stroke_m(&self) -> f64 {
-        let strokes_m = self
-            .sections
-            .iter()
-            .map(|s| s.cable_radius_m * s.bend_max_rad);
-        strokes_m.sum()
+        let sections = self.sections.iter();
+        sections.map(|s| s.cable_radius_m * s.bend_max_rad).sum()
     }
 
     /// The robot described by the keys.
-    pub(super) fn robot(&self, origins: &Origins) -> Result<Robot, ConfigError> {
-        Service::Status
-            .name(&self.name)
-            .map_err(|error| origins.error(&["robot.name"], &error.to_string()))?;
+    pub(super) fn robot(&self, origins: &Origins) -> Result<Robot> {
+        let name = Service::Status.name(&self.name);
+        name.map_err(|error| origins.error(&["robot.name"], error))?;
         let parameters = RobotParameters {
             sections: self.sections.clone(),
             cable_speed_max_m_s: self.cable_speed_max_m_s,
             cable_stroke_max_m: self.cable_stroke_max_m,
             tip_speed_max_m_s: self.tip_speed_max_m_s,
         };
-        Robot::new(&parameters)
-            .map_err(|error| origins.error(&[&key_of(&error)], &error.to_string()))
+        Robot::new(&parameters).map_err(|error| origins.error(&[&key_of(&error)], error))
     }
 }
 

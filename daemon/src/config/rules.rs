@@ -2,50 +2,60 @@
 
 use cdcr_controller::parameters::UserParameter;
 
-use super::{Config, ConfigError, Origins, keys};
+use super::error::Result;
+use super::{Config, Origins, keys};
 
 /// Rejects the first number outside its range, and the first contradiction between values.
-pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
+pub(super) fn check(config: &Config, origins: &Origins) -> Result<()> {
     let numbers = numbers(config);
-    // NaN is outside every range.
     for (key, parameter, value) in &numbers {
+        // NaN is outside every range.
         if let Some(refusal) = parameter.refusal(*value) {
-            let message = format!("{value} is out of range: {refusal}");
-            return Err(origins.error(&[key], &message));
+            let message = format_args!("{value} is out of range: {refusal}");
+            return Err(origins.error(&[key], message));
         }
     }
-    check_times(config, &numbers, origins)?;
-    let (realtime, safety) = (&config.realtime, &config.safety);
-    let (exchange, cycle) = (realtime.exchange_priority, realtime.cycle_priority);
-    let (warning_rad, fault_rad) = (safety.following_warning_rad, safety.following_fault_rad);
-    let timeout_ms = config.obstacles.source_timeout_ms;
-    let rules: [(bool, &[&str], String); 3] = [
-        (
-            exchange < cycle,
-            &["realtime.exchange_priority", "realtime.cycle_priority"],
-            format!(
-                "exchange_priority = {exchange} must be below cycle_priority = {cycle}, so that the cycle pre-empts the \
-                 exchange"
-            ),
-        ),
-        (
-            warning_rad <= fault_rad,
-            &["safety.following_fault_rad", "safety.following_warning_rad"],
-            format!(
-                "following_fault_rad = {fault_rad} must be at least following_warning_rad = {warning_rad}, so that the \
-                 warning comes first"
-            ),
-        ),
-        (
-            timeout_ms >= 0.0 || timeout_ms == -1.0,
-            &["obstacles.source_timeout_ms"],
-            format!(
-                "source_timeout_ms = {timeout_ms} is out of range: allowed is -1, or at least 0"
-            ),
-        ),
-    ];
-    if let Some((_, keys, message)) = rules.iter().find(|(is_kept, ..)| !is_kept) {
-        return Err(origins.error(keys, message));
+    let named = |key: &str| {
+        let number = numbers.iter().find(|(known, ..)| known == key);
+        let (_, parameter, value) = number.expect("a number of the configuration");
+        (parameter.name, *value)
+    };
+    let period_ms = config.cycle.period_ms;
+    for (key, low, high) in times(config) {
+        let limit = match named(key).1 {
+            value if value < low => format!("at least {low}"),
+            value if value > high => format!("at most {high}"),
+            _ => continue,
+        };
+        let (name, value) = named(key);
+        let message = format_args!(
+            "{name} = {value} is out of range: with cycle.period_ms = {period_ms}, allowed is {limit}"
+        );
+        return Err(origins.error_of(key, &[key, "cycle.period_ms"], message));
+    }
+    let [exchange, cycle] = ["realtime.exchange_priority", "realtime.cycle_priority"];
+    let [warning, fault] = ["safety.following_warning_rad", "safety.following_fault_rad"];
+    for (key, relation, other, reason) in [
+        (exchange, "below", cycle, "the cycle pre-empts the exchange"),
+        (fault, "at least", warning, "the warning comes first"),
+    ] {
+        let [(name, value), (limit, limit_value)] = [key, other].map(named);
+        if if relation == "below" {
+            value >= limit_value
+        } else {
+            value < limit_value
+        } {
+            let message = format_args!(
+                "{name} = {value} must be {relation} {limit} = {limit_value}, so that {reason}"
+            );
+            return Err(origins.error(&[key, other], message));
+        }
+    }
+    let (name, timeout_ms) = named("obstacles.source_timeout_ms");
+    if timeout_ms < 0.0 && timeout_ms != -1.0 {
+        let message =
+            format_args!("{name} = {timeout_ms} is out of range: allowed is -1, or at least 0");
+        return Err(origins.error(&["obstacles.source_timeout_ms"], message));
     }
     config.controller.validate().map_err(|error| {
         let key = format!("controller.{}", error.key);
@@ -58,21 +68,17 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigErro
             ],
             _ => &[&key],
         };
-        origins.error(keys, &error.to_string())
+        origins.error(keys, error)
     })
 }
 
-/// Checks the times that depend on the period.
-fn check_times(
-    config: &Config,
-    numbers: &[(String, &UserParameter, f64)],
-    origins: &Origins,
-) -> Result<(), ConfigError> {
+/// The times that depend on the period, with their limits.
+fn times(config: &Config) -> [(&'static str, f64, f64); 8] {
     let period_ms = config.cycle.period_ms;
     let (half_ms, endless) = (0.5 * period_ms, f64::INFINITY);
     let is_automatic = config.realtime.spin_us == -1.0;
     let spin_min_us = if is_automatic { -1.0 } else { 0.0 };
-    for (key, low, high) in [
+    [
         ("cycle.deadline_ms", 0.0, period_ms),
         ("cycle.budget_ms", 0.0, period_ms),
         ("cycle.budget_margin_ms", 0.0, half_ms),
@@ -82,37 +88,22 @@ fn check_times(
         // The estimator remembers 128 periods, and measurements have an age.
         ("actuator.delay_ms", 0.0, 64.0 * period_ms),
         ("link.tip_age_max_ms", 0.0, 100.0 * period_ms),
-    ] {
-        let number = numbers.iter().find(|(known, ..)| known == key);
-        let (_, _, value) = *number.expect("a number of the configuration");
-        let limit = match value {
-            value if value < low => format!("at least {low}"),
-            value if value > high => format!("at most {high}"),
-            _ => continue,
-        };
-        let (_, name) = key.split_once('.').unwrap_or_default();
-        let message = format!(
-            "{name} = {value} is out of range: with cycle.period_ms = {period_ms}, allowed is {limit}"
-        );
-        return Err(origins.error_of_first(&[key, "cycle.period_ms"], &message));
-    }
-    Ok(())
+    ]
 }
 
 /// Every number with its key and declaration.
 pub(crate) fn numbers(config: &Config) -> Vec<(String, &'static UserParameter, f64)> {
-    let sections = config.robot.sections.iter().enumerate();
-    let sections = sections.map(|(index, section)| {
-        let numbers = section.numbers().to_vec();
-        (format!("robot.sections[{index}]"), numbers)
-    });
-    let mut all = Vec::new();
-    for (table, numbers) in config.numbers_by_table().into_iter().chain(sections) {
-        let parameters = keys::below(&keys::without_indices(&table)).iter();
-        let numbers = parameters.zip(numbers).filter_map(|(parameter, number)| {
-            Some((format!("{table}.{}", parameter.name), parameter, number?))
-        });
-        all.extend(numbers);
+    let values = keys::values(config);
+    let mut numbers = Vec::new();
+    for key in keys::all()
+        .iter()
+        .filter(|key| key.parameter.range.is_some())
+    {
+        for (name, value) in keys::each(&values, &key.name) {
+            let whole = || value.as_integer().map(|whole| whole as f64);
+            let number = value.as_float().or_else(whole);
+            numbers.extend(number.map(|number| (name, key.parameter, number)));
+        }
     }
-    all
+    numbers
 }

@@ -1,18 +1,13 @@
 use cdcr_controller::nmpc::RateWeight;
 
-use super::{Config, ConfigError, Origin, Origins, Validated, keys, rules};
+use super::error::Result;
+use super::{Config, LinkKind, Origins, RealtimeMode, Validated, keys, rules};
 
 /// A typed configuration before validation, with the origins of its values.
 #[derive(Debug, Clone, Default)]
 pub struct ConfigDraft {
     pub config: Config,
     pub origins: Origins,
-}
-
-impl From<Config> for ConfigDraft {
-    fn from(config: Config) -> Self {
-        Self::new(config, Origins::default())
-    }
 }
 
 impl ConfigDraft {
@@ -28,39 +23,38 @@ impl ConfigDraft {
     }
 
     /// Validates every value and every rule between values.
-    pub fn validate(self) -> Result<Validated, ConfigError> {
-        let Self {
-            mut config,
-            origins,
-        } = self;
+    pub fn validate(self) -> Result<Validated> {
+        let (mut config, origins) = (self.config, self.origins);
         rules::check(&config, &origins)?;
+        let is_driver = config.link.kind == LinkKind::Driver;
+        let mode = &mut config.realtime.mode;
+        *mode = match *mode {
+            RealtimeMode::Auto if is_driver => RealtimeMode::Require,
+            RealtimeMode::Auto => RealtimeMode::Prefer,
+            set => set,
+        };
+        let timeout_ms = &mut config.obstacles.source_timeout_ms;
+        if *timeout_ms == -1.0 {
+            *timeout_ms = if is_driver { 500.0 } else { 0.0 };
+        }
         let robot = config.robot.robot(&origins)?;
-        let flaws = config.link.flaws(&origins)?;
-        let truth = config.link.truth(&robot, &origins)?;
-        let initial = config.link.initial(&robot, &origins)?;
-        let kind = config.link.kind;
-        config.realtime.mode = config.realtime.mode.resolved_for(kind);
-        config.obstacles.source_timeout_ms = config.obstacles.source_timeout_ms(kind);
-        let location = config.transport.location(&origins)?;
-        let group_id = config.transport.group_id(&origins)?;
         Ok(Validated {
-            config,
+            flaws: config.link.flaws(&origins)?,
+            truth: config.link.truth(&robot, &origins)?,
+            initial: config.link.initial(&robot, &origins)?,
+            location: config.transport.location(&origins)?,
+            group_id: config.transport.group_id(&origins)?,
             robot,
-            truth,
-            flaws,
-            initial,
-            location,
-            group_id,
+            config,
         })
     }
 
-    /// The values that were set and differ from the default: key, value as TOML, origin as text.
+    /// The values that were set and differ from the default: key, value as TOML, origin.
     pub fn changed(&self) -> Vec<(&'static str, String, String)> {
         let values = keys::values(&self.config);
         let changed = keys::settable().filter_map(|(key, default)| {
-            let (value, origin) = (keys::value(&values, key)?, self.origins.get(key));
-            let is_changed = value != default && origin != Origin::Default;
-            is_changed.then(|| (key, keys::text(value), origin.to_string()))
+            let (value, origin) = (keys::value(&values, key)?, self.origins.get(key)?);
+            (value != default).then(|| (key, keys::text(value), origin.to_owned()))
         });
         changed.collect()
     }

@@ -2,7 +2,8 @@ use std::path::PathBuf;
 
 use cdcr_shared_types::{DEFAULT_PREFIX, Location, LocationError};
 
-use super::{ConfigError, Origins};
+use super::Origins;
+use super::error::Result;
 
 table! {
     /// Location of daemon and clients in shared memory.
@@ -22,7 +23,7 @@ const GROUPS: &str = "/etc/group";
 
 impl TransportConfig {
     /// Number of the group with access.
-    pub(super) fn group_id(&self, origins: &Origins) -> Result<Option<u32>, ConfigError> {
+    pub(super) fn group_id(&self, origins: &Origins) -> Result<Option<u32>> {
         if self.group.is_empty() {
             return Ok(None);
         }
@@ -30,28 +31,26 @@ impl TransportConfig {
         let named = || number_of(&self.group, &groups);
         let number = self.group.parse().ok().or_else(named);
         number.map(Some).ok_or_else(|| {
-            let group = &self.group;
             let message = format!(
-                "unknown group {group:?} in {GROUPS}: create it (groupadd), or use the number of a group from \
-                 another database (getent group)"
+                "unknown group {:?} in {GROUPS}: create it (groupadd), or use the number of a group from another database (getent group)",
+                self.group
             );
-            origins.error(&["transport.group"], &message)
+            origins.error(&["transport.group"], message)
         })
     }
 
     /// The location given by prefix and root.
-    pub(super) fn location(&self, origins: &Origins) -> Result<Location, ConfigError> {
-        let root = if self.root.is_empty() {
-            Location::default_root()
-        } else {
-            PathBuf::from(&self.root)
+    pub(super) fn location(&self, origins: &Origins) -> Result<Location> {
+        let root = match &*self.root {
+            "" => Location::default_root(),
+            root => PathBuf::from(root),
         };
         Location::new(&self.prefix, &root).map_err(|error| {
             let key = match error {
                 LocationError::Prefix(_) => "transport.prefix",
                 LocationError::Root(_) => "transport.root",
             };
-            origins.error(&[key], &error.to_string())
+            origins.error(&[key], error)
         })
     }
 }
@@ -67,12 +66,18 @@ fn number_of(group: &str, groups: &str) -> Option<u32> {
 
 #[cfg(test)]
 mod tests {
-    use super::number_of;
+    use super::*;
 
     #[test]
-    fn a_group_is_found_by_its_whole_name() {
+    fn a_group_is_found_by_its_whole_name_and_may_be_a_number() {
         let groups = "root:x:0:\nrobots:x:7:a\n# robot\nrobot:x:1001:anna,ben\nbroken:x\n";
         assert_eq!(number_of("robot", groups), Some(1001));
+        let group = "1001".to_owned();
+        let config = TransportConfig {
+            group,
+            ..Default::default()
+        };
+        assert_eq!(config.group_id(&Origins::default()).unwrap(), Some(1001));
         for missing in ["robo", "", "x", "broken", "anna"] {
             assert_eq!(number_of(missing, groups), None, "{missing}");
         }

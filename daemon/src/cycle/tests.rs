@@ -438,7 +438,7 @@ fn no_rate_grows_faster_than_the_acceleration() {
 }
 
 /// Default of a robot behind a driver.
-const MOST_RAD_S2: f64 = crate::config::MotionConfig::ACCELERATION_RAD_S2;
+const MOST_RAD_S2: f64 = Policy::ACCELERATION_RAD_S2;
 
 #[test]
 fn what_the_inputs_say_makes_a_moving_robot_hold_or_stop() {

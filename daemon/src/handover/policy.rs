@@ -4,7 +4,7 @@ use cdcr_controller::reference::ApproachLimits;
 use cdcr_controller::safety::{FollowingRules, PlausibilityRules};
 
 use crate::accounting::Limits;
-use crate::config::{Config, CycleConfig, Interface, LinkKind, MotionConfig, ns};
+use crate::config::{ApproachKind, Config, Interface, LinkKind, ns};
 
 /// Fixed rules of a cycle, from the configuration.
 #[derive(Debug, Clone, Copy)]
@@ -57,6 +57,13 @@ impl Policy {
     /// A reset has to accept a pose measured farther than this from where the last command left the robot \[rad\].
     pub const POSE_DIFFERS_RAD: f64 = cdcr_shared_types::limits::POSE_DIFFERS_RAD;
 
+    /// Level of the full leaky bucket if the configuration sets no `miss_limit`: 200 ms without control at 5
+    /// ms.
+    const MISS_LIMIT: u32 = 40;
+
+    /// Default acceleration limit of a robot with motors \[rad/s²\].
+    pub const ACCELERATION_RAD_S2: f64 = 40.0;
+
     /// Age of the newest measurement of the tip above which its sensor measures no more \[ns\].
     pub const TIP_SILENT_NS: u64 =
         1_000_000 * cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS as u64;
@@ -73,15 +80,15 @@ impl Policy {
             home_rate_rad_s: config.motion.home_rate_rad_s,
             home_tolerance_rad: config.motion.home_tolerance_rad,
             interface: config.link.interface,
-            actuator: config.actuator.model(),
+            actuator: actuator(config),
             reference_lead_ns: ns(config.actuator.lead_ms()),
             estimator_time_constant_s: estimator_time_constant_s(config),
             approach: config
                 .motion
                 .approach_limits(config.link.is_ideal(), reach_m(config)),
-            approach_distance_m: config.motion.approach_distance_m(),
+            approach_distance_m: approach_distance_m(config),
             tip_noise_m: config.estimator.tip_noise_m,
-            command_valid_ns: config.link.command_valid_ns(ns(config.cycle.period_ms)),
+            command_valid_ns: command_valid_ns(config),
             deadline_ns: config.cycle.deadline_ns(),
             late_start_ns: ns(config.cycle.late_start_ms),
             measurement_timeout_ns: ns(config.link.measurement_timeout_ms),
@@ -127,7 +134,7 @@ impl Policy {
             deadline_ns: self.deadline_ns,
             late_start_ns: self.late_start_ns,
             miss_limit: match self.miss_limit {
-                0 => CycleConfig::MISS_LIMIT,
+                0 => Self::MISS_LIMIT,
                 limit => limit,
             },
         }
@@ -144,9 +151,34 @@ impl Policy {
     }
 }
 
+/// The model of the motors and cables.
+fn actuator(config: &Config) -> Actuator {
+    Actuator {
+        delay_s: config.actuator.delay_ms * 1e-3,
+        time_constant_s: config.actuator.time_constant_ms * 1e-3,
+        play_m: config.actuator.play_m,
+    }
+}
+
+/// Validity of a command after its release \[ns\].
+fn command_valid_ns(config: &Config) -> u64 {
+    match ns(config.link.command_valid_ms) {
+        0 => 3 * ns(config.cycle.period_ms),
+        valid_ns => valid_ns,
+    }
+}
+
+/// Largest distance between the tip and a reference to be tracked \[m\].
+fn approach_distance_m(config: &Config) -> f64 {
+    match config.motion.approach {
+        ApproachKind::Refuse => config.motion.approach_distance_m,
+        _ => f64::INFINITY,
+    }
+}
+
 /// Known lag of the motors behind their commands \[s\].
 fn lead_s(config: &Config) -> f64 {
-    config.actuator.model().lead_s()
+    actuator(config).lead_s()
 }
 
 /// Length of the robot \[m\].
@@ -170,7 +202,7 @@ fn fastest_rad_s(config: &Config) -> f64 {
 fn miss_limit(config: &Config) -> u32 {
     match (config.cycle.miss_limit, config.link.kind) {
         (0, LinkKind::Simulated) => 0,
-        (0, LinkKind::Driver) => CycleConfig::MISS_LIMIT,
+        (0, LinkKind::Driver) => Policy::MISS_LIMIT,
         (limit, _) => limit,
     }
 }
@@ -180,7 +212,7 @@ fn miss_limit(config: &Config) -> u32 {
 fn acceleration_rad_s2(config: &Config) -> f64 {
     match (config.motion.acceleration_rad_s2, config.link.is_ideal()) {
         (0.0, true) => f64::INFINITY,
-        (0.0, false) => MotionConfig::ACCELERATION_RAD_S2,
+        (0.0, false) => Policy::ACCELERATION_RAD_S2,
         (limit, _) => limit,
     }
 }
@@ -199,7 +231,7 @@ fn estimator_time_constant_s(config: &Config) -> f64 {
 fn stale_inputs_max_ns(config: &Config) -> u64 {
     match config.link.kind {
         LinkKind::Simulated => u64::MAX,
-        LinkKind::Driver => config.link.command_valid_ns(ns(config.cycle.period_ms)),
+        LinkKind::Driver => command_valid_ns(config),
     }
 }
 
