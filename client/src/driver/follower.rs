@@ -47,6 +47,9 @@ const ROUNDING_S: f64 = 1e-8;
 /// After a gap the motors move at this multiple of the commanded speed at most: at twice the speed they have caught up
 /// after as long as the gap was.
 const CATCH_UP: f64 = 2.0;
+/// Section ends move at this multiple of their limit at most: the daemon limits their speed in the estimated shape of the robot,
+/// which is not quite the commanded one. A daemon that was started again with a wider limit is held to it.
+const TIP_SPEED_MARGIN: f64 = 1.5;
 /// Least share of the robot's speed at which a move is made, so that a short one ends.
 const PACE_MIN: f64 = 1e-3;
 
@@ -191,8 +194,8 @@ impl CommandFollower {
         shortest_s.max(section_ends::way_m(&self.robot, begin, end) / tip_max_m_s)
     }
 
-    /// Largest speed of a section end \[m/s\]: the robot's, or that of the commands where it is larger, because the daemon
-    /// has limited it in the estimated shape. Infinite without a limit.
+    /// Largest speed of a section end \[m/s\]: the robot's, or that of the commands where it is a little larger
+    /// ([`TIP_SPEED_MARGIN`]). Infinite without a limit.
     fn tip_speed_max_m_s(&self, command: &Command, offset: Option<&CommandedPosition>) -> f64 {
         let limit_m_s = self.robot.tip_speed_max_m_s;
         if self.interface != Interface::Position || limit_m_s <= 0.0 {
@@ -215,7 +218,32 @@ impl CommandFollower {
         });
         let [begin, end] = &positions;
         let way_m = section_ends::way_m(&self.robot, begin, end);
-        limit_m_s.max(way_m * 1e9 / takes_ns as f64)
+        (way_m * 1e9 / takes_ns as f64).clamp(limit_m_s, TIP_SPEED_MARGIN * limit_m_s)
+    }
+
+    /// Refuses rates with which a section end would be far beyond its limit.
+    fn check_tip_speed(&self, command: &Command) -> Result<(), CommandRefusal> {
+        let limit_m_s = self.robot.tip_speed_max_m_s;
+        if self.interface != Interface::Velocity || limit_m_s <= 0.0 {
+            return Ok(());
+        }
+        let takes_s = 1e-9 * (command.target_ns - command.release_ns).max(1) as f64;
+        let (end, rates) = (
+            CommandedPosition::from_command(command),
+            &command.bend_rate_rad_s,
+        );
+        let mut begin = end;
+        for (bend_rad, rate_rad_s) in begin.bend_rad.iter_mut().zip(rates) {
+            *bend_rad -= rate_rad_s * takes_s;
+        }
+        let speed_m_s = section_ends::way_m(&self.robot, &begin, &end) / takes_s;
+        if speed_m_s > TIP_SPEED_MARGIN * limit_m_s {
+            return Err(CommandRefusal::TipSpeed {
+                speed_m_s,
+                limit_m_s,
+            });
+        }
+        Ok(())
     }
 
     /// In Holding after a reset: the robot is where its load has kept it beside these motors.
@@ -320,6 +348,7 @@ impl CommandFollower {
             _ => *command,
         };
         bounds::check(&self.robot, self.interface, &checked, standing)?;
+        self.check_tip_speed(command)?;
         match (standing, &self.measured) {
             (None, Some(measured)) if self.interface == Interface::Position => {
                 let position = CommandedPosition::from_command(command);
@@ -379,7 +408,7 @@ impl CommandFollower {
     /// [`Interface::Position`].
     ///
     /// The position never overshoots the target and never exceeds the robot's largest rates and cable speeds, nor the largest speed
-    /// of the section ends where the commands do not, so it may arrive later, after lost or late commands. It is constant from `valid_until_ns` on. Another daemon does not move
+    /// of the section ends where the commands do not (by half of it where they do), so it may arrive later, after lost or late commands. It is constant from `valid_until_ns` on. Another daemon does not move
     /// it by taking over ([`offset`](Self::offset)).
     ///
     /// If the next command comes after that time, because the driver hung or commands were lost, the position catches up

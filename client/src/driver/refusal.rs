@@ -123,4 +123,16 @@ pub enum CommandRefusal {
         /// Its limit \[m/s\].
         limit_m_s: f64,
     },
+    /// The end of a section is far beyond its largest speed. The daemon limits the speed of the robot's estimated shape, so a
+    /// little more than the limit is no error.
+    #[error(
+        "the end of a section is commanded at {speed_m_s:.3} m/s, the limit was {limit_m_s} m/s when this driver was opened: start the driver \
+         again if the limit of the daemon was changed"
+    )]
+    TipSpeed {
+        /// The commanded speed in the commanded shape \[m/s\].
+        speed_m_s: f64,
+        /// Its limit \[m/s\].
+        limit_m_s: f64,
+    },
 }

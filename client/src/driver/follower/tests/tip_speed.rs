@@ -187,3 +187,27 @@ fn a_stop_ends_the_catching_up_at_the_limit() {
         assert!(moved_rad < 1e-12, "{moved_rad}");
     }
 }
+
+/// Of a daemon that was started again without the limit: `rates_at` and `position_at` keep it.
+#[test]
+fn commands_far_above_the_limit_are_held_to_it() {
+    for (share, is_refused) in [(1.4, false), (1.6, true), (4.0, true)] {
+        let mut motion = Motion::new(share);
+        let fastest_m_s = motion.run(10, 40, |_| 4);
+        let most_m_s = 1.01 * share.min(TIP_SPEED_MARGIN) * LIMIT_M_S;
+        assert!(fastest_m_s < most_m_s, "{share}: {fastest_m_s}");
+        let mut follower = CommandFollower::new(&motion.follower.robot, Interface::Velocity);
+        let [before, after] = [40, 41].map(|cycle| motion.commanded(cycle));
+        let mut command = Command {
+            sections: 3,
+            ..velocity(41, 0.0)
+        };
+        for i in 0..6 {
+            command.bend_target_rad[i] = after[i];
+            command.bend_rate_rad_s[i] = (after[i] - before[i]) * 1e9 / PERIOD_NS as f64;
+        }
+        let taken = follower.take(&command, 41 * PERIOD_NS + 1);
+        let is_tip_speed = matches!(taken, Err(CommandRefusal::TipSpeed { .. }));
+        assert_eq!(is_tip_speed, is_refused, "{share}: {taken:?}");
+    }
+}
