@@ -106,7 +106,7 @@ pub enum InstanceError {
     RootLocked { root: String },
     #[error(
         "the root folder {root} is on a disk, which would delay the daemon\n\
-         use a folder in memory (tmpfs) with --root, for example below /dev/shm or /run"
+         use a folder in memory (tmpfs) with --root, for example below /dev/shm, or below /run where `df /run` says tmpfs"
     )]
     RootOnDisk { root: String },
     #[error(

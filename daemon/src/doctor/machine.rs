@@ -137,7 +137,7 @@ pub(super) fn root_folder(observed: &Observations) -> Assessed {
     let shown = root.display();
     if let Ok(false) = observed.probe.root_in_memory {
         return problem!(Fault, "{shown} is on a disk"
-            => "use a folder in memory (tmpfs), in /dev/shm or /run: --root DIR, or transport.root");
+            => "use a folder in memory (tmpfs), in /dev/shm, or in /run where `df /run` says tmpfs: --root DIR, or transport.root");
     }
     let path = observed.system.path(root);
     let user = observed.probe.user_id;
