@@ -15,7 +15,7 @@ const SCRIPTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/maintainer-scripts")
 fn run(folder: &Path, [script, action]: [&str; 2], stubs: &[(&str, &str)]) -> (i32, String) {
     let programs = folder.join("programs");
     fs::create_dir_all(&programs).unwrap();
-    for name in ["find", "flock", "rm", "true"] {
+    for name in ["find", "flock", "readlink", "rm", "true"] {
         let path = ["/usr/bin", "/bin"].map(|folder| Path::new(folder).join(name));
         let path = path.iter().find(|path| path.exists()).unwrap();
         drop(std::os::unix::fs::symlink(path, programs.join(name)));
@@ -55,6 +55,22 @@ fn without_systemd_the_user_is_created_or_the_command_is_named() {
     );
     let (status, text) = run(&[("getent", "exit 0"), ("useradd", "exit 9")]);
     assert_eq!((status, text.as_str()), (0, ""));
+}
+
+/// A daemon that was started by hand, of which systemd knows nothing.
+#[test]
+fn an_upgrade_names_a_daemon_that_still_runs_the_old_program() {
+    let folder = Scratch::temporary().unwrap();
+    for (process, exe) in [("12", "/usr/bin/cdcrd"), ("34", "/usr/bin/cdcrd (deleted)")] {
+        let process = folder.path().join("proc").join(process);
+        fs::create_dir_all(&process).unwrap();
+        std::os::unix::fs::symlink(exe, process.join("exe")).unwrap();
+    }
+    let stubs = [("getent", "exit 0")];
+    let (status, text) = run(folder.path(), ["postinst", "configure"], &stubs);
+    assert_eq!(status, 0, "{text}");
+    let line = "cdcrd still runs as it was, process 34: end it when the robot may stop";
+    assert!(text.starts_with(line), "{text}");
 }
 
 #[test]
