@@ -7,6 +7,7 @@ use cdcr_controller::robot::SectionParameters;
 
 use crate::config::{Config, Interface, LinkKind, REST_MAX_S, TipSensor, ns, numbers};
 use crate::core_budget::{CoreBudget, Costs};
+use crate::handover::approach_limits;
 
 /// Largest stroke of a cable that is taken to be meant \[m\].
 const STROKE_M_MAX: f64 = 2.0;
@@ -360,10 +361,9 @@ fn tip_speed(config: &Config) -> [Option<String>; 3] {
     }
     let sections = &config.robot.sections;
     let most_m_s = tip_speed_max_m_s(sections, |section| section.rate_max_rad_s);
-    let length_m = sections.iter().map(|section| section.length_m).sum();
     let last = config.robot.sections.last();
     let homing_m_s = last.map_or(0.0, |last| 0.5 * last.length_m * motion.home_rate_rad_s);
-    let approach = motion.approach_limits(config.link.is_ideal(), length_m);
+    let approach = approach_limits(config);
     let key = "robot.tip_speed_max_m_s";
     [
         (limit_m_s > most_m_s).then(|| {

@@ -1,7 +1,6 @@
 //! Control of the robot: actuators, estimate, period, motions, faults, obstacles, reference.
 
 use cdcr_controller::estimator::Actuator;
-use cdcr_controller::reference::{ApproachLimits, EXCURSION_SHARE};
 use cdcr_shared_types::limits::PERIOD_MS_MAX;
 use serde::{Deserialize, Serialize};
 
@@ -97,12 +96,11 @@ impl CycleConfig {
 pub const REST_MAX_S: f64 = 10.0;
 
 /// How a reference is reached that begins elsewhere than the tip is, or in motion.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum ApproachKind {
     /// `Smooth`, and `Direct` for the ideal simulated robot.
-    #[default]
     Auto,
     /// Along a smooth path within the limits of the approach.
     Smooth,
@@ -142,21 +140,6 @@ table! {
     }
 }
 
-impl MotionConfig {
-    /// Limits of the approach for a robot of length `reach_m` \[m\]; `None`: no limits. `is_ideal` selects
-    /// the default.
-    pub fn approach_limits(&self, is_ideal: bool, reach_m: f64) -> Option<ApproachLimits> {
-        let is_auto = self.approach == ApproachKind::Auto;
-        let is_direct = self.approach == ApproachKind::Direct || (is_auto && is_ideal);
-        (!is_direct).then_some(ApproachLimits {
-            speed_m_s: self.approach_speed_m_s,
-            acceleration_m_s2: self.approach_acceleration_m_s2,
-            excursion_m: EXCURSION_SHARE * reach_m,
-            turn_rad_s: self.home_rate_rad_s,
-        })
-    }
-}
-
 table! {
     /// Limits beyond which robot, sensors or obstacles cause a fault.
     pub struct SafetyConfig {
@@ -188,12 +171,11 @@ table! {
 }
 
 /// What happens when a source of obstacles is silent.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum SourceSilent {
     /// The robot holds until the source sends again or its supervision ends; the obstacles stay meanwhile.
-    #[default]
     Hold,
     /// The obstacles stay, and the robot continues.
     Keep,

@@ -28,10 +28,8 @@ impl ConfigError {
     }
 
     pub(super) fn at(place: Option<&str>, message: impl Display) -> Self {
-        Self(match place {
-            Some(place) => format!("{place}: {message}"),
-            None => message.to_string(),
-        })
+        let place = place.map(|place| format!("{place}: "));
+        Self(format!("{}{message}", place.unwrap_or_default()))
     }
 }
 

@@ -15,21 +15,19 @@ pub fn explain(key: &str, settings: &ConfigDraft) -> Result<String> {
     if keys::get(&name).is_none() {
         return Err(ConfigError::unknown(None, &name));
     }
-    let schema = serde_json::from_str(SCHEMA_TEXT).unwrap_or_default();
+    let schema: Value = serde_json::from_str(SCHEMA_TEXT).unwrap_or_default();
     let below = format!("{name}.");
-    let all = keys::all().iter();
-    let about = all
-        .filter(|key| key.name == name || key.name.starts_with(&below))
-        .map(|key| about(key, node(&schema, &key.name), settings));
+    let all = keys::ALL.iter();
+    let shown = all.filter(|key| key.name == name || key.name.starts_with(&below));
+    let about =
+        shown.filter_map(|key| Some(about(key, schema.pointer(&pointer(&key.name))?, settings)));
     Ok(about.collect::<Vec<_>>().join("\n"))
 }
 
-/// The schema's node of a key or a table.
-fn node<'a>(schema: &'a Value, key: &str) -> &'a Value {
-    key.split('.').fold(schema, |node, part| {
-        let node = node.get("items").unwrap_or(node);
-        &node["properties"][part]
-    })
+/// Where the schema has a key or a table.
+pub(super) fn pointer(key: &str) -> String {
+    let key = key.replace("sections.", "sections/items.");
+    format!("/properties/{}", key.replace('.', "/properties/"))
 }
 
 /// The explanation of one key, or of a table without its keys.
@@ -37,7 +35,11 @@ fn about(key: &Key, node: &Value, settings: &ConfigDraft) -> String {
     let parameter = key.parameter;
     let mut lines = vec![key.name.clone()];
     lines.extend(parameter.text().lines().map(|line| format!("  {line}")));
-    lines.extend(choices(node));
+    let choices = node["oneOf"].as_array().into_iter().flatten();
+    lines.extend(choices.map(|choice| {
+        let words = choice["description"].as_str().unwrap_or_default();
+        format!("    {}: {}", choice["const"], words.replace('\n', " "))
+    }));
     let range = parameter.range_text().map(|range| match parameter.also {
         Some(also) => format!("{range}, {also}"),
         None => range,
@@ -60,28 +62,16 @@ fn about(key: &Key, node: &Value, settings: &ConfigDraft) -> String {
     lines.join("\n")
 }
 
-/// The values of a choice with their descriptions.
-fn choices(node: &Value) -> Vec<String> {
-    let choices = node["oneOf"].as_array().into_iter().flatten();
-    let each = choices.map(|choice| {
-        let words = choice["description"].as_str().unwrap_or_default();
-        format!("    {}: {}", choice["const"], words.replace('\n', " "))
-    });
-    each.collect()
-}
-
-/// The type of a key as text; `None` for a table.
-fn kind(node: &Value) -> Option<&'static str> {
+/// The type of a key as text.
+fn kind(node: &Value) -> Option<&str> {
     match node["type"].as_str() {
         _ if node.get("oneOf").is_some() => Some("one of these strings"),
         _ if node.get("anyOf").is_some() => Some("number or \"auto\""),
-        Some("number") => Some("number"),
         Some("integer") => Some("whole number"),
         Some("boolean") => Some("true or false"),
         Some("array") => Some("list"),
-        Some("string") => Some("string"),
         Some("object") => Some("table"),
-        _ => None,
+        other => other,
     }
 }
 
@@ -89,20 +79,13 @@ fn kind(node: &Value) -> Option<&'static str> {
 fn value(config: &Config, key: &str) -> Option<String> {
     let values = keys::values(config);
     let each = keys::each(&values, key);
-    let tables = |list: &Vec<_>| {
-        list.first()
-            .is_some_and(toml::Value::is_table)
-            .then_some(list.len())
-    };
-    match &*each {
-        [] => None,
-        [(name, value)] if name == key => match value.as_array().and_then(tables) {
-            Some(count) => Some(format!("{count} tables, key by key below")),
-            None => Some(keys::text(value)),
-        },
-        each => {
-            let each: Vec<_> = each.iter().map(|(_, value)| keys::text(value)).collect();
-            Some(each.join(", ") + " (base first)")
+    let texts = each.iter().map(|(_, value)| keys::text(value));
+    match (&*each, keys::value(&values, key)) {
+        ([], _) => None,
+        (_, Some(toml::Value::Array(list))) if list.iter().any(toml::Value::is_table) => {
+            Some(format!("{} tables, key by key below", list.len()))
         }
+        (_, Some(_)) => Some(texts.collect()),
+        _ => Some(texts.collect::<Vec<_>>().join(", ") + " (base first)"),
     }
 }

@@ -6,7 +6,7 @@ use cdcr_controller::parameters::UserParameter;
 use cdcr_controller::robot::SectionParameters;
 use toml::{Table, Value};
 
-use super::Config;
+use super::{Config, TABLES};
 
 /// Smallest similarity of a misspelt name to a known one.
 const ALIKE: f64 = 0.8;
@@ -28,7 +28,8 @@ pub(super) struct Key {
     pub(super) default: Option<Value>,
 }
 
-static KEYS: LazyLock<Vec<Key>> = LazyLock::new(|| {
+/// Every key, in the order of the default file.
+pub(super) static ALL: LazyLock<Vec<Key>> = LazyLock::new(|| {
     let mut keys = Vec::new();
     collect("", &values(&Config::default()), &mut keys);
     keys
@@ -57,23 +58,21 @@ pub(super) fn below(key: &str) -> &'static [UserParameter] {
     match key {
         "" => Config::PARAMETERS,
         "robot.sections" => SectionParameters::PARAMETERS,
-        table => Config::parameters_of(table),
+        name => {
+            let table = TABLES.iter().find(|table| table.0 == name);
+            table.map_or(&[], |table| table.1)
+        }
     }
-}
-
-/// Every key, in the order of the default file.
-pub(super) fn all() -> &'static [Key] {
-    &KEYS
 }
 
 /// A key or a table by its name.
 pub(super) fn get(name: &str) -> Option<&'static Key> {
-    all().iter().find(|key| key.name == name)
+    ALL.iter().find(|key| key.name == name)
 }
 
 /// The names and defaults of the settable keys.
 pub(super) fn settable() -> impl Iterator<Item = (&'static str, &'static Value)> {
-    let keys = all().iter();
+    let keys = ALL.iter();
     keys.filter_map(|key| Some((&*key.name, key.default.as_ref()?)))
 }
 
@@ -94,12 +93,9 @@ pub(super) fn each<'a>(values: &'a Table, key: &str) -> Vec<(String, &'a Value)>
         return vec![(key.to_owned(), value)];
     }
     let (list, name) = key.rsplit_once('.').unwrap_or_default();
-    let tables = value(values, list)
-        .and_then(Value::as_array)
-        .into_iter()
-        .flatten()
-        .enumerate();
-    let each = tables.map(|(index, table)| (format!("{list}[{index}].{name}"), &table[name]));
+    let tables = value(values, list).and_then(Value::as_array);
+    let each = tables.into_iter().flatten().enumerate();
+    let each = each.map(|(index, table)| (format!("{list}[{index}].{name}"), &table[name]));
     each.collect()
 }
 
@@ -146,7 +142,7 @@ fn best<'a>(
 /// The known key most similar to `unknown`.
 pub(super) fn nearest(unknown: &str) -> Option<&'static str> {
     let plain = without_indices(&unknown.to_lowercase());
-    let known = all().iter().map(|key| &*key.name);
+    let known = ALL.iter().map(|key| &*key.name);
     best(unknown, known, |known| likeness(&plain, known))
 }
 

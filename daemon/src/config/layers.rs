@@ -25,10 +25,11 @@ impl Layers {
     pub fn file(self, path: &Path) -> Result<Self> {
         let text = read(path).map_err(|cause| {
             let name = path.display().to_string();
-            let (file, is_missing) = (short(&name), cause.kind() == io::ErrorKind::NotFound);
-            let start = format!("\n`cdcrd config default > {file}` creates one");
-            let start = if is_missing { &*start } else { "" };
-            let message = format_args!("cannot read the configuration {file}: {cause}{start}");
+            let file = short(&name);
+            let mut message = format!("cannot read the configuration {file}: {cause}");
+            if cause.kind() == io::ErrorKind::NotFound {
+                message = format!("{message}\n`cdcrd config default > {file}` creates one");
+            }
             ConfigError::at(None, message)
         })?;
         self.text(&text, path)
@@ -37,7 +38,7 @@ impl Layers {
     /// Adds the settings in the text of a file; `file` is for messages.
     pub fn text(mut self, text: &str, file: &Path) -> Result<Self> {
         let whole = file.display().to_string();
-        self.origins.set(String::new(), whole.clone());
+        self.origins.0.insert(String::new(), whole.clone());
         // Every element of a list has a line of its own.
         let line_ends: Vec<usize> = text.match_indices('\n').map(|(end, _)| end).collect();
         let line = |offset| 1 + line_ends.partition_point(|end| *end < offset);
@@ -72,8 +73,20 @@ impl Layers {
     pub fn key(self, key: &str, text: &str, origin: &str) -> Result<Self> {
         let known = keys::get(key).and_then(|known| known.default.as_ref());
         let default = known.ok_or_else(|| not_settable(key, origin))?;
-        let value = value_of(text, default);
-        let value = value.map_err(|message| ConfigError::new(Some(origin), key, message))?;
+        let trimmed = text.trim();
+        let is_quoted = trimmed.starts_with(['"', '\'']);
+        // A key whose default is "auto" may be a number.
+        let is_number = default.as_str() == Some("auto") && trimmed.parse::<f64>().is_ok();
+        if default.is_str() && !is_quoted && !is_number {
+            return self.put(key, &text.into(), origin);
+        }
+        let value = Value::from_str(trimmed).map_err(|_| {
+            let is_comma = trimmed.replacen(',', ".", 1).parse::<f64>().is_ok();
+            let hint = if is_comma { DECIMAL_POINT } else { "" };
+            let message =
+                format!("invalid TOML value {text:?}: expected a value like {default}{hint}");
+            ConfigError::new(Some(origin), key, message)
+        })?;
         self.put(key, &value, origin)
     }
 
@@ -115,7 +128,7 @@ impl Layers {
             }
         }
         for Place { key, offset, .. } in places {
-            self.origins.set(key, origin(offset));
+            self.origins.0.insert(key, origin(offset));
         }
         Ok(self)
     }
@@ -229,20 +242,4 @@ fn not_settable(key: &str, origin: &str) -> ConfigError {
         (_, Some((list, _))) => format!("{list} is set as a whole: {list}=[{{ … }}, {{ … }}]"),
     };
     ConfigError::new(Some(origin), key, message)
-}
-
-/// A value as TOML; where a string is expected, a bare word is accepted.
-fn value_of(text: &str, default: &Value) -> std::result::Result<Value, String> {
-    let trimmed = text.trim();
-    let is_quoted = trimmed.starts_with(['"', '\'']);
-    // A key whose default is "auto" may be a number.
-    let is_number = default.as_str() == Some("auto") && trimmed.parse::<f64>().is_ok();
-    if default.is_str() && !is_quoted && !is_number {
-        return Ok(text.into());
-    }
-    Value::from_str(trimmed).map_err(|_| {
-        let is_comma = trimmed.replacen(',', ".", 1).parse::<f64>().is_ok();
-        let hint = if is_comma { DECIMAL_POINT } else { "" };
-        format!("invalid TOML value {text:?}: expected a value like {default}{hint}")
-    })
 }

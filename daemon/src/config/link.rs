@@ -9,34 +9,31 @@ use super::Origins;
 use super::error::Result;
 
 /// Which robot is controlled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkKind {
     /// A simulated robot inside the daemon.
-    #[default]
     Simulated,
     /// A driver process on the measurement and command services.
     Driver,
 }
 
 /// Which part of a command the robot's driver follows.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Interface {
-    #[default]
     Velocity,
     Position,
 }
 
 /// Which process measures the tip.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum TipSensor {
     /// The driver, if any.
-    #[default]
     Driver,
     /// One that measures nothing else.
     Separate,
@@ -87,8 +84,6 @@ table! {
     }
 }
 
-const FLAWS_KEY: &str = "link.simulated_flaws";
-
 impl LinkConfig {
     /// The robot is exactly its model.
     pub fn is_ideal(&self) -> bool {
@@ -100,7 +95,7 @@ impl LinkConfig {
         let mut given = self.simulated_flaws.iter();
         let preset = self.simulated.flaws();
         let flaws = given.try_fold(preset, |flaws, (name, value)| flaws.with(name, *value));
-        flaws.map_err(|error| origins.error(&[FLAWS_KEY], error))
+        flaws.map_err(|error| origins.error(&["link.simulated_flaws"], error))
     }
 
     /// True geometry of the simulated robot, if configured.
@@ -109,7 +104,12 @@ impl LinkConfig {
         let is_changed =
             !given.is_empty() || self.simulated_tip || !self.simulated_flaws.is_empty();
         if self.is_ideal() && is_changed {
-            let keys = ["link.simulated_tip", key, FLAWS_KEY, "link.simulated"];
+            let keys = [
+                "link.simulated_tip",
+                key,
+                "link.simulated_flaws",
+                "link.simulated",
+            ];
             let message = "the ideal robot is exactly its model: simulated_geometry, simulated_flaws and simulated_tip \
                            need another link.simulated, for example \"laboratory\"";
             return Err(origins.error(&keys, message));
@@ -130,23 +130,18 @@ impl LinkConfig {
         if given.is_empty() {
             return Ok(Configuration::straight(robot.section_count()));
         }
-        let flat = Configuration::from_slice(given.as_flattened());
-        let initial = flat.filter(|flat| flat.section_count() == robot.section_count());
-        let initial = initial.ok_or_else(|| {
-            let is = counted(given.len(), "pair");
-            let should = counted(robot.section_count(), "section");
-            origins.error(
-                &[key],
-                format_args!("{is} given, but the robot has {should}"),
-            )
-        })?;
-        for (index, (pair, section)) in given.iter().zip(robot.sections()).enumerate() {
+        let is = counted(given.len(), "pair");
+        let should = counted(robot.section_count(), "section");
+        let message = format_args!("{is} given, but the robot has {should}");
+        let initial = Configuration::from_slice(given.as_flattened());
+        let initial = initial.filter(|initial| initial.section_count() == robot.section_count());
+        let initial = initial.ok_or_else(|| origins.error(&[key], message))?;
+        for ((number, pair), section) in (1..).zip(given).zip(robot.sections()) {
             let (bend_rad, most) = (pair[0].hypot(pair[1]), section.bend_max_rad);
             if !(0.0..=most).contains(&bend_rad) {
-                let key = format!("{key}[{index}]");
-                let message = format!(
-                    "section {}: a bend of {bend_rad} rad is out of range: allowed is 0 to {most}",
-                    index + 1
+                let key = format!("{key}[{}]", number - 1);
+                let message = format_args!(
+                    "section {number}: a bend of {bend_rad} rad is out of range: allowed is 0 to {most}"
                 );
                 return Err(origins.error(&[&key], message));
             }

@@ -29,15 +29,8 @@ macro_rules! tables {
             pub struct Config { $($(#[doc = $doc])+ $name: $table = <$table>::default();)+ }
         }
 
-        impl Config {
-            /// The declarations of the keys of a table.
-            fn parameters_of(table: &str) -> &'static [UserParameter] {
-                match table {
-                    $(stringify!($name) => <$table>::PARAMETERS,)+
-                    _ => &[],
-                }
-            }
-        }
+        /// The tables with the declarations of their keys.
+        const TABLES: &[(&str, &[UserParameter])] = &[$((stringify!($name), <$table>::PARAMETERS),)+];
     };
 }
 

@@ -6,18 +6,9 @@ use super::ConfigError;
 /// Origins of the values that were set, by keys and elements like `robot.sections[1].length_m`: a file with its
 /// line, an environment variable or a command-line option. The key `""` has the file, if any.
 #[derive(Debug, Clone, Default)]
-pub struct Origins(BTreeMap<String, String>);
+pub struct Origins(pub(super) BTreeMap<String, String>);
 
 impl Origins {
-    pub(super) fn set(&mut self, key: String, origin: String) {
-        self.0.insert(key, origin);
-    }
-
-    /// Counts the value of a key as a default.
-    pub(super) fn forget(&mut self, key: &str) {
-        self.0.remove(key);
-    }
-
     /// Origin of the value of `key`, if it was set; an element without one of its own has that of its list.
     pub fn get(&self, key: &str) -> Option<&str> {
         let list = key.split('[').next().unwrap_or(key);

@@ -3,13 +3,12 @@ use serde::{Deserialize, Serialize};
 use super::ns;
 
 /// How much real time is asked for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum RealtimeMode {
     /// [`Require`](Self::Require) for a robot behind a driver, [`Prefer`](Self::Prefer) for a simulated one. A validated
     /// configuration says which of them.
-    #[default]
     Auto,
     /// Refuse to start without all of it.
     Require,
@@ -25,7 +24,7 @@ table! {
         /// "require": do not start without SCHED_FIFO, a pinned core and locked memory. "prefer": use what the system
         /// grants and report what is missing. "off": ordinary threads. "auto": "require" with link.kind = "driver", "prefer" with
         /// "simulated".
-        mode: RealtimeMode = RealtimeMode::default();
+        mode: RealtimeMode = RealtimeMode::Auto;
         /// Core of the real-time threads, {range}; -1: the last core not used by another loop, preferably an isolated one, not an
         /// efficiency core, with an idle hyper-thread sibling.
         core: i32 = -1, in -1.0..=1023.0;
@@ -46,13 +45,10 @@ table! {
 impl RealtimeConfig {
     /// Time before each release at which the cycle thread wakes up, for a period of `period_ms` \[ns\].
     pub fn spin_ns(&self, period_ms: f64) -> u64 {
-        let automatic_us = (15.0 * period_ms).min(75.0);
-        let is_automatic = self.spin_us < 0.0;
         ns(1e-3
-            * if is_automatic {
-                automatic_us
-            } else {
-                self.spin_us
+            * match self.spin_us {
+                automatic if automatic < 0.0 => (15.0 * period_ms).min(75.0),
+                spin_us => spin_us,
             })
     }
 }

@@ -21,10 +21,23 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<()> {
         (parameter.name, *value)
     };
     let period_ms = config.cycle.period_ms;
-    for (key, low, high) in times(config) {
-        let limit = match named(key).1 {
-            value if value < low => format!("at least {low}"),
-            value if value > high => format!("at most {high}"),
+    let (half_ms, endless) = (0.5 * period_ms, f64::INFINITY);
+    let is_automatic = config.realtime.spin_us == -1.0;
+    let spin_min_us = if is_automatic { -1.0 } else { 0.0 };
+    for (key, low, high) in [
+        ("cycle.deadline_ms", 0.0, period_ms),
+        ("cycle.budget_ms", 0.0, period_ms),
+        ("cycle.budget_margin_ms", 0.0, half_ms),
+        ("cycle.gather_lead_ms", 0.0, half_ms),
+        ("cycle.watchdog_ms", 10.0 * period_ms, endless),
+        ("realtime.spin_us", spin_min_us, 1e3 * half_ms),
+        // The estimator remembers 128 periods, and measurements have an age.
+        ("actuator.delay_ms", 0.0, 64.0 * period_ms),
+        ("link.tip_age_max_ms", 0.0, 100.0 * period_ms),
+    ] {
+        let limit = match named(key) {
+            (_, value) if value < low => format!("at least {low}"),
+            (_, value) if value > high => format!("at most {high}"),
             _ => continue,
         };
         let (name, value) = named(key);
@@ -39,14 +52,10 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<()> {
         (exchange, "below", cycle, "the cycle pre-empts the exchange"),
         (fault, "at least", warning, "the warning comes first"),
     ] {
-        let [(name, value), (limit, limit_value)] = [key, other].map(named);
-        if if relation == "below" {
-            value >= limit_value
-        } else {
-            value < limit_value
-        } {
+        let [(name, value), (limit, bound)] = [key, other].map(named);
+        if (value < bound) != (relation == "below") {
             let message = format_args!(
-                "{name} = {value} must be {relation} {limit} = {limit_value}, so that {reason}"
+                "{name} = {value} must be {relation} {limit} = {bound}, so that {reason}"
             );
             return Err(origins.error(&[key, other], message));
         }
@@ -72,33 +81,11 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<()> {
     })
 }
 
-/// The times that depend on the period, with their limits.
-fn times(config: &Config) -> [(&'static str, f64, f64); 8] {
-    let period_ms = config.cycle.period_ms;
-    let (half_ms, endless) = (0.5 * period_ms, f64::INFINITY);
-    let is_automatic = config.realtime.spin_us == -1.0;
-    let spin_min_us = if is_automatic { -1.0 } else { 0.0 };
-    [
-        ("cycle.deadline_ms", 0.0, period_ms),
-        ("cycle.budget_ms", 0.0, period_ms),
-        ("cycle.budget_margin_ms", 0.0, half_ms),
-        ("cycle.gather_lead_ms", 0.0, half_ms),
-        ("cycle.watchdog_ms", 10.0 * period_ms, endless),
-        ("realtime.spin_us", spin_min_us, 1e3 * half_ms),
-        // The estimator remembers 128 periods, and measurements have an age.
-        ("actuator.delay_ms", 0.0, 64.0 * period_ms),
-        ("link.tip_age_max_ms", 0.0, 100.0 * period_ms),
-    ]
-}
-
 /// Every number with its key and declaration.
 pub(crate) fn numbers(config: &Config) -> Vec<(String, &'static UserParameter, f64)> {
     let values = keys::values(config);
     let mut numbers = Vec::new();
-    for key in keys::all()
-        .iter()
-        .filter(|key| key.parameter.range.is_some())
-    {
+    for key in keys::ALL.iter().filter(|key| key.parameter.range.is_some()) {
         for (name, value) in keys::each(&values, &key.name) {
             let whole = || value.as_integer().map(|whole| whole as f64);
             let number = value.as_float().or_else(whole);

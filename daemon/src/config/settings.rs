@@ -17,7 +17,7 @@ impl ConfigDraft {
         let weight = &mut config.controller.rate_weight;
         if *weight == RateWeight::Auto {
             *weight = RateWeight::auto(config.link.is_ideal());
-            origins.forget("controller.rate_weight");
+            origins.0.remove("controller.rate_weight");
         }
         Self { config, origins }
     }

@@ -72,11 +72,7 @@ mod tests {
     fn a_group_is_found_by_its_whole_name_and_may_be_a_number() {
         let groups = "root:x:0:\nrobots:x:7:a\n# robot\nrobot:x:1001:anna,ben\nbroken:x\n";
         assert_eq!(number_of("robot", groups), Some(1001));
-        let group = "1001".to_owned();
-        let config = TransportConfig {
-            group,
-            ..Default::default()
-        };
+        let config: TransportConfig = toml::from_str("group = '1001'").unwrap();
         assert_eq!(config.group_id(&Origins::default()).unwrap(), Some(1001));
         for missing in ["robo", "", "x", "broken", "anna"] {
             assert_eq!(number_of(missing, groups), None, "{missing}");

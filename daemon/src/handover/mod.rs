@@ -29,6 +29,7 @@ pub use channels::{
 };
 pub use fault_place::FaultPlace;
 pub use inputs::{CycleAnswer, CycleInputs, CycleRequest, TimedMeasurement};
+pub(crate) use policy::approach_limits;
 pub use policy::{ChangedSettings, Policy, RuntimeSettings};
 pub use record::{CycleFacts, CycleRecord, MeasurementUse};
 pub use report::{CycleReport, InputReport, RefusedTips};

@@ -1,6 +1,6 @@
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::NmpcSettings;
-use cdcr_controller::reference::ApproachLimits;
+use cdcr_controller::reference::{ApproachLimits, EXCURSION_SHARE};
 use cdcr_controller::safety::{FollowingRules, PlausibilityRules};
 
 use crate::accounting::Limits;
@@ -83,9 +83,7 @@ impl Policy {
             actuator: actuator(config),
             reference_lead_ns: ns(config.actuator.lead_ms()),
             estimator_time_constant_s: estimator_time_constant_s(config),
-            approach: config
-                .motion
-                .approach_limits(config.link.is_ideal(), reach_m(config)),
+            approach: approach_limits(config),
             approach_distance_m: approach_distance_m(config),
             tip_noise_m: config.estimator.tip_noise_m,
             command_valid_ns: command_valid_ns(config),
@@ -166,6 +164,22 @@ fn command_valid_ns(config: &Config) -> u64 {
         0 => 3 * ns(config.cycle.period_ms),
         valid_ns => valid_ns,
     }
+}
+
+/// Limits of the approach; `None`: no limits.
+pub(crate) fn approach_limits(config: &Config) -> Option<ApproachLimits> {
+    let (motion, is_ideal) = (&config.motion, config.link.is_ideal());
+    let is_direct = match motion.approach {
+        ApproachKind::Auto => is_ideal,
+        ApproachKind::Direct => true,
+        ApproachKind::Smooth | ApproachKind::Refuse => false,
+    };
+    (!is_direct).then_some(ApproachLimits {
+        speed_m_s: motion.approach_speed_m_s,
+        acceleration_m_s2: motion.approach_acceleration_m_s2,
+        excursion_m: EXCURSION_SHARE * reach_m(config),
+        turn_rad_s: motion.home_rate_rad_s,
+    })
 }
 
 /// Largest distance between the tip and a reference to be tracked \[m\].

@@ -3,12 +3,12 @@
 
 use std::path::Path;
 
-use cdcr_controller::parameters::UserParameter;
 use cdcr_controller::robot::SectionParameters;
 use cdcr_controller::robot::ranges::SECTION_COUNT;
 use schemars::generate::SchemaSettings;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
+use crate::config::explain::pointer;
 use crate::config::{Config, DEFAULT_TEXT, SCHEMA_TEXT, keys};
 
 const HEAD: &str = "\
@@ -21,13 +21,10 @@ const HEAD: &str = "\
 fn compare(name: &str, made: &str, is_same: bool) {
     if std::env::var_os("CDCR_GENERATE").is_some() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");
-        std::fs::write(folder.join(name), made).unwrap();
-    } else {
-        assert!(
-            is_same,
-            "{name}: run `CDCR_GENERATE=1 cargo test -p cdcr-daemon --lib generated` and commit what it writes"
-        );
+        return std::fs::write(folder.join(name), made).unwrap();
     }
+    let command = "CDCR_GENERATE=1 cargo test -p cdcr-daemon --lib generated";
+    assert!(is_same, "{name}: run `{command}` and commit what it writes");
 }
 
 #[test]
@@ -35,15 +32,15 @@ fn the_committed_file_is_what_is_declared() {
     let values = keys::values(&Config::default());
     let sections = values["robot"]["sections"].as_array().unwrap();
     let mut text = HEAD.to_owned();
-    for key in keys::all() {
+    for key in keys::ALL.iter() {
         let name = key.parameter.name;
-        let (gap, setting) = match &key.default {
-            None if !key.name.contains('.') => ("\n", format!("[{name}]\n")),
-            None => ("", line(name, &sections[0][name])),
-            Some(_) if key.name == "robot.sections" => ("\n", format!("[[{}]]\n", key.name)),
-            Some(default) => ("", line(name, default)),
+        let setting = match &key.default {
+            None if !key.name.contains('.') => format!("[{name}]\n"),
+            None => line(name, &sections[0][name]),
+            Some(_) if key.name == "robot.sections" => format!("[[{}]]\n", key.name),
+            Some(default) => line(name, default),
         };
-        text += gap;
+        text += if setting.starts_with('[') { "\n" } else { "" };
         let words = key.parameter.text();
         text.extend(words.lines().map(|line| format!("# {line}\n")));
         text += &setting;
@@ -77,49 +74,34 @@ fn the_committed_schema_is_what_is_declared() {
     let generator = settings.into_generator();
     let mut schema = generator.into_root_schema_for::<Config>().to_value();
     schema["title"] = json!("Configuration of cdcrd");
-    for key in keys::all() {
-        let node = key.name.split('.').fold(&mut schema, |node, part| {
-            let is_list = node.get("items").is_some();
-            let node = if is_list { &mut node["items"] } else { node };
-            &mut node["properties"][part]
-        });
-        let node = node.as_object_mut().expect(&key.name);
-        complete(node, &key.name, key.parameter);
+    for key in keys::ALL.iter() {
+        let node = schema.pointer_mut(&pointer(&key.name)).expect(&key.name);
+        node["description"] = json!(key.parameter.text().replace('\n', " "));
+        if key.name == "robot.sections" {
+            node["minItems"] = json!(SECTION_COUNT.start());
+            node["maxItems"] = json!(SECTION_COUNT.end());
+            // The Rust documentation of one table of a list does not concern users.
+            node["items"].as_object_mut().unwrap().remove("description");
+        }
+        let range = key.parameter.range.iter();
+        for (name, limit) in range.flat_map(|r| [("minimum", *r.start()), ("maximum", *r.end())]) {
+            let whole = (node["type"] == "integer").then_some(limit as i64);
+            node[name] = whole.map_or(json!(limit), |whole| json!(whole));
+        }
+        let node = node.as_object_mut().unwrap();
+        if node.contains_key("properties") {
+            // Each key has its own default.
+            node.remove("default");
+        }
     }
     // The order of its keys depends on a feature of serde_json, which other crates may enable.
     let committed: Value = serde_json::from_str(SCHEMA_TEXT).unwrap();
     compare("schema.json", &format!("{schema:#}\n"), schema == committed);
 }
 
-/// Adds description and range.
-fn complete(node: &mut Map<String, Value>, key: &str, parameter: &UserParameter) {
-    let mut set = |name: &str, value: Value| node.insert(name.to_owned(), value);
-    set("description", json!(parameter.text().replace('\n', " ")));
-    if key == "robot.sections" {
-        set("minItems", json!(SECTION_COUNT.start()));
-        set("maxItems", json!(SECTION_COUNT.end()));
-    }
-    if let Some(range) = &parameter.range {
-        let is_whole = node.get("type").is_some_and(|kind| kind == "integer");
-        for (name, limit) in [("minimum", *range.start()), ("maximum", *range.end())] {
-            let whole = is_whole.then_some(limit as i64);
-            let limit = whole.map_or(json!(limit), |whole| json!(whole));
-            node.insert(name.to_owned(), limit);
-        }
-    }
-    if let Some(items) = node.get_mut("items").and_then(Value::as_object_mut) {
-        // The Rust documentation of one table of a list does not concern users.
-        items.remove("description");
-    }
-    if node.contains_key("properties") {
-        // Each key has its own default.
-        node.remove("default");
-    }
-}
-
 #[test]
 fn every_key_has_words_and_every_number_a_range_that_is_reported() {
-    for key in keys::all() {
+    for key in keys::ALL.iter() {
         let (name, parameter) = (&key.name, key.parameter);
         assert!(parameter.text().len() > 10, "{name}: {}", parameter.text());
         let is_reported = parameter.doc.iter().any(|line| line.contains("{range}"));
