@@ -113,7 +113,7 @@ impl ConfigSource {
             layers = with(layers, key, variable(name), name)?;
         }
         for (key, value) in self.tuning.into_iter().flat_map(TuningPreset::keys) {
-            layers = layers.key(key, value, "--tuning")?;
+            layers = layers.key(key, &format!("{value:?}"), "--tuning")?;
         }
         for (key, value) in &self.set {
             layers = layers.key(key, value, "--set")?;

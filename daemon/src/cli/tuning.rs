@@ -1,3 +1,4 @@
+use cdcr_controller::nmpc::RateWeight;
 use clap::ValueEnum;
 
 /// Values of a few keys that belong together, chosen by measurement: docs/tuning.md.
@@ -12,16 +13,16 @@ pub(super) enum TuningPreset {
 }
 
 impl TuningPreset {
-    /// Keys and values, as TOML.
-    pub(super) fn keys(self) -> [(&'static str, &'static str); 3] {
+    /// Keys and values.
+    pub(super) fn keys(self) -> [(&'static str, f64); 3] {
         let (rate_change_weight, time_constant_ms) = match self {
-            Self::Precise => ("0.0", "300.0"),
-            Self::Smooth => ("1e-5", "300.0"),
-            Self::Fast => ("0.0", "60.0"),
+            Self::Precise => (0.0, 300.0),
+            Self::Smooth => (1e-5, 300.0),
+            Self::Fast => (0.0, 60.0),
         };
         [
             // With a rate change weight alone, rates that do not move the tip never decay.
-            ("controller.rate_weight", "1e-10"),
+            ("controller.rate_weight", RateWeight::MEASURED.into()),
             ("controller.rate_change_weight", rate_change_weight),
             ("estimator.time_constant_ms", time_constant_ms),
         ]
@@ -72,9 +73,7 @@ mod tests {
                 set.controller.rate_change_weight,
                 set.estimator.time_constant_ms,
             ];
-            let expected = tuning
-                .keys()
-                .map(|(_, value)| value.parse::<f64>().unwrap());
+            let expected = tuning.keys().map(|(_, value)| value);
             assert!(values == expected, "{name}: {values:?}");
             let mut others = set.clone();
             others.controller.rate_weight = default.controller.rate_weight;
