@@ -46,8 +46,8 @@ pub struct RateOptions {
     /// How long a trial measures at least: seconds, and periods.
     #[arg(skip = (2.0, 4000.0))]
     pub length: (f64, f64),
-    #[arg(skip = Case::all())]
-    pub cases: Vec<Case>,
+    #[arg(skip = RateCase::all())]
+    pub cases: Vec<RateCase>,
     /// The periods that are tried, longest first \[ms\].
     #[arg(skip = PERIODS_MS)]
     pub periods_ms: Vec<f64>,
@@ -81,7 +81,7 @@ impl RateOptions {
 impl Benchmark for RateOptions {
     fn quicken(&mut self) {
         (self.rounds, self.length) = (1, (0.5, 400.0));
-        let is_default = |case: &Case| (case.sections, case.horizon_steps) == (3, 2);
+        let is_default = |case: &RateCase| (case.sections, case.horizon_steps) == (3, 2);
         self.cases.retain(is_default);
     }
 
@@ -92,7 +92,7 @@ impl Benchmark for RateOptions {
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
         let stage = Stage::new(self.spin_us)?;
-        let mut trial = |case: Case, period_ms: f64, more_s: f64| {
+        let mut trial = |case: RateCase, period_ms: f64, more_s: f64| {
             interrupt::check()?;
             progress.expect(more_s);
             progress.begin(&format!("{} every {period_ms} ms", case.name()));
@@ -103,7 +103,7 @@ impl Benchmark for RateOptions {
         let mut steps: Vec<Vec<Trial>> = self.steps_ms.iter().map(|_| Vec::new()).collect();
         for _ in 0..self.rounds {
             for (step, period_ms) in steps.iter_mut().zip(&self.steps_ms) {
-                step.push(trial(Case::DEFAULT, *period_ms, 0.0)?);
+                step.push(trial(RateCase::DEFAULT, *period_ms, 0.0)?);
             }
         }
         // Each search begins at the result of the previous one.
@@ -125,13 +125,13 @@ impl Benchmark for RateOptions {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Case {
+pub struct RateCase {
     pub sections: usize,
     pub solver: SolverKind,
     pub horizon_steps: u32,
 }
 
-impl Case {
+impl RateCase {
     pub const DEFAULT: Self = Self {
         sections: 3,
         solver: SolverKind::KpsoRefined,
@@ -190,7 +190,7 @@ impl Stage {
         })
     }
 
-    fn launch(&self, case: &Case, period_ms: f64) -> Launch {
+    fn launch(&self, case: &RateCase, period_ms: f64) -> Launch {
         Launch::stall_tolerant(None)
             .placed(&self.cores, self.realtime)
             .with_period(period_ms)
@@ -208,7 +208,7 @@ impl Stage {
 
 #[derive(Debug)]
 struct Shortest {
-    case: Case,
+    case: RateCase,
     /// In the order of execution; the last trial of a period decides.
     trials: Vec<Trial>,
     /// The shortest period that held; `None` if not even the longest did.
@@ -227,7 +227,7 @@ impl Shortest {
 /// Moves step by step from the guess towards the border, so a good guess costs two trials. Assumes that a longer
 /// period holds whenever a shorter one does.
 fn search(
-    case: Case,
+    case: RateCase,
     periods_ms: &[f64],
     guess: usize,
     mut trial: impl FnMut(f64) -> Result<Trial>,
@@ -277,13 +277,13 @@ mod tests {
             Holds => ("", held),
             _ => ("too short", Value::Null),
         };
-        Trial::new(Case::DEFAULT, period_ms, None, outcome, remarks, row)
+        Trial::new(RateCase::DEFAULT, period_ms, None, outcome, remarks, row)
     }
 
     /// `outcome` gets the index of the period and the number of its trial.
     fn find(guess: usize, outcome: impl Fn(usize, usize) -> TrialOutcome) -> Shortest {
         let mut counts = [0; PERIODS_MS.len()];
-        let found = search(Case::DEFAULT, &PERIODS_MS, guess, |period_ms| {
+        let found = search(RateCase::DEFAULT, &PERIODS_MS, guess, |period_ms| {
             let index = PERIODS_MS.iter().position(|ms| *ms == period_ms).unwrap();
             counts[index] += 1;
             Ok(trial(period_ms, outcome(index, counts[index])))
@@ -309,7 +309,7 @@ mod tests {
                 }
             }
         }
-        assert!(search(Case::DEFAULT, &PERIODS_MS, 3, |_| anyhow::bail!("no")).is_err());
+        assert!(search(RateCase::DEFAULT, &PERIODS_MS, 3, |_| anyhow::bail!("no")).is_err());
         // A period whose trials failed because of the machine holds when a repetition does.
         for spoilt in 0..Machine.trials() {
             let found = find(2, |_, count| if count > spoilt { Holds } else { Machine });
@@ -323,7 +323,7 @@ mod tests {
         // `None`: the default spin time.
         for (case, ms, spin_us) in [(0, 5.0, Some(1e3)), (1, 0.5, Some(0.0)), (2, 0.1, None)] {
             let stage = Stage::new(spin_us).unwrap();
-            let launch = stage.launch(&Case::all()[case], ms);
+            let launch = stage.launch(&RateCase::all()[case], ms);
             let output = launch.command("check").unwrap().output().unwrap();
             let errors = String::from_utf8_lossy(&output.stderr);
             assert!(output.status.success(), "{errors}");

@@ -4,7 +4,7 @@ use anyhow::Result;
 use serde_json::{Value, json};
 
 use super::trial::Trial;
-use super::{Case, Shortest};
+use super::{RateCase, Shortest};
 use crate::chart::{BLUE, DARK, GREEN, ORANGE, Panel, Scale, of_rows};
 use crate::dataset::{Dataset, each, filled, joined};
 
@@ -35,7 +35,7 @@ pub(super) fn dataset(
     }
     dataset.plot("rate", &panels(&default))?;
     dataset.add_titled("shortest", &[&how], found);
-    dataset.add_titled("default", &[&Case::DEFAULT.name(), &how], default);
+    dataset.add_titled("default", &[&RateCase::DEFAULT.name(), &how], default);
     dataset.add("all", [&rounds[..], &trials].concat());
     dataset.add("default_rounds", rounds);
     dataset.add("trials", trials);
@@ -155,7 +155,7 @@ mod tests {
         trials.extend(tried(0.25, &[NotFollowed; 3]));
         let steps = vec![tried(5.0, &[Holds; 2]), tried(0.1, &[Holds, NotFollowed])];
         let shortest = Shortest {
-            case: Case::DEFAULT,
+            case: RateCase::DEFAULT,
             trials,
             held_ms: Some(0.5),
             failed_ms: Some(0.25),

@@ -9,7 +9,7 @@ use cdcr_shared_types::codes::Mode;
 use serde_json::{Value, json};
 use statrs::statistics::{Data, OrderStatistics as _};
 
-use super::{Case, Stage};
+use super::{RateCase, Stage};
 use crate::causes::Causes;
 use crate::dataset::{Recording, joined};
 use crate::interrupt;
@@ -66,7 +66,12 @@ pub(super) struct Trial {
 }
 
 impl Trial {
-    pub(super) fn run(stage: &Stage, case: Case, period_ms: f64, measured_s: f64) -> Result<Self> {
+    pub(super) fn run(
+        stage: &Stage,
+        case: RateCase,
+        period_ms: f64,
+        measured_s: f64,
+    ) -> Result<Self> {
         let spin_us = stage.spin_within_us(period_ms);
         let observe = || {
             let daemon = Daemon::start(&stage.launch(&case, period_ms), &stage.cores)?;
@@ -100,7 +105,7 @@ impl Trial {
     }
 
     pub(super) fn new(
-        case: Case,
+        case: RateCase,
         period_ms: f64,
         spin_us: Option<f64>,
         outcome: TrialOutcome,

@@ -2,7 +2,7 @@
 
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::progress::Progress;
-use cdcr_bench::rate::{Case, RateOptions};
+use cdcr_bench::rate::{RateCase, RateOptions};
 use serde_json::Value;
 
 use crate::{list, machine, number, values_are_sound};
@@ -11,7 +11,7 @@ use crate::{list, machine, number, values_are_sound};
 fn the_border_lies_between_what_held_and_what_failed() {
     let _machine = machine();
     // One section, gauss-newton, two steps.
-    let case = Case::all()[0];
+    let case = RateCase::all()[0];
     let mut options = RateOptions::of_report(true, &[]);
     (options.length, options.cases) = ((0.2, 60.0), vec![case]);
     (options.periods_ms, options.steps_ms) = (vec![5.0, 2.0], vec![5.0]);

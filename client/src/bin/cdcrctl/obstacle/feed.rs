@@ -26,7 +26,7 @@ const WAITING: usize = 1024;
 const LINE_MAX: u64 = 65_536;
 
 /// A line of the standard input: a change with its arrival time, or an error.
-type Read = Result<SceneChange, String>;
+type SceneLine = Result<SceneChange, String>;
 
 /// Sends changes and counts them.
 struct Feed<'a> {
@@ -143,7 +143,7 @@ fn in_effect(changes: usize) -> String {
 }
 
 /// Reads lines in a thread, so that an interrupt or the end of the daemon is noticed meanwhile.
-fn read_lines() -> Receiver<Read> {
+fn read_lines() -> Receiver<SceneLine> {
     let (send, receive) = mpsc::sync_channel(WAITING);
     thread::spawn(move || {
         let mut input = std::io::stdin().lock();
