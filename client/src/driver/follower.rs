@@ -359,12 +359,13 @@ impl CommandFollower {
     }
 
     /// Commanded rates at `now_ns`: rest before the first command and after `valid_until_ns` of the newest
-    /// one. For a driver that obeys [`Interface::Velocity`].
+    /// one. Also at a time before the newest one was taken by more than it is valid: another clock, with which it would not run
+    /// out. For a driver that obeys [`Interface::Velocity`].
     pub fn rates_at(&self, now_ns: u64) -> CommandedRates {
         match &self.present {
-            Some(Present { command, .. }) if now_ns < command.valid_until_ns => CommandedRates {
-                bend_rate_rad_s: command.bend_rate_rad_s,
-                cable_speed_m_s: command.cable_speed_m_s,
+            Some(present) if present.is_valid_at(now_ns) => CommandedRates {
+                bend_rate_rad_s: present.command.bend_rate_rad_s,
+                cable_speed_m_s: present.command.cable_speed_m_s,
             },
             _ => CommandedRates::default(),
         }

@@ -38,6 +38,15 @@ impl Present {
         now_ns >= self.command.valid_until_ns || self.catches_up
     }
 
+    /// The command has not expired, by a clock that is not behind.
+    pub(super) fn is_valid_at(&self, now_ns: u64) -> bool {
+        let valid_ns = self
+            .command
+            .valid_until_ns
+            .saturating_sub(self.command.release_ns);
+        now_ns < self.command.valid_until_ns && now_ns.saturating_add(valid_ns) >= self.begin_ns
+    }
+
     pub(super) fn position_at(&self, now_ns: u64) -> CommandedPosition {
         let now_ns = now_ns.min(self.command.valid_until_ns);
         self.begin.towards(&self.end, self.part(now_ns))

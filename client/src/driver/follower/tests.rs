@@ -136,7 +136,8 @@ fn speeds_hold_until_they_run_out_and_rest_otherwise() {
         assert_eq!(rates.bend_rate_rad_s[0], 1.5);
         assert_eq!(rates.cable_speed_m_s, command.cable_speed_m_s);
     }
-    for now_ns in [end_ns, end_ns + 1, u64::MAX] {
+    // The last ones are of another clock.
+    for now_ns in [end_ns, end_ns + 1, u64::MAX, 0, 7 * PERIOD_NS] {
         assert_eq!(follower.rates_at(now_ns), CommandedRates::default());
     }
 }
