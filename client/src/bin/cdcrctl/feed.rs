@@ -139,7 +139,7 @@ pub(crate) fn go(
         check_mode(&status)?;
     }
     let before = newest(connection)?;
-    unmeasured_tip::warn(&status, &before);
+    unmeasured_tip::warn(connection, &status, &before);
     if !arguments.dry_run {
         // Before the simulation, which lasts as long as the path is far.
         check_stands(connection, &before)?;

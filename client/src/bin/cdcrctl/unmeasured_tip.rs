@@ -1,6 +1,7 @@
 //! Where the position of the tip is that of the model, although a sensor is to measure it.
 
 use std::fmt;
+use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, STATUS_TIMEOUT, counted, remedy};
 use cdcr_controller::estimator::tip_offset_max_m;
@@ -12,6 +13,9 @@ use crate::dry_run::{newest, robot_and_pose};
 use crate::standing::distance_m;
 
 pub(crate) const SILENT_NS: u64 = 1_000_000 * TIP_SENSOR_SILENT_MS as u64;
+
+/// Some frames of a camera: a stray tip is followed by one that is used.
+const STRAY_FOR: Duration = Duration::from_millis(150);
 
 /// How long a tip sensor beside bends or cables has been silent; `None`: it measures, or none has measured \[ns\].
 pub(crate) fn silence_ns(now_ns: u64, measured_ns: u64) -> Option<u64> {
@@ -84,19 +88,41 @@ pub(crate) fn cause(status: &Status, record: &Telemetry) -> Option<String> {
     ))
 }
 
-/// Warns a person who is about to move the robot by the tip that the model has.
-pub(crate) fn warn(status: &Status, record: &Telemetry) {
-    if let Some(cause) = cause(status, record) {
+/// Warns a person who is about to move the robot by the tip that the model has. A stray tip is none: the next ones are used.
+pub(crate) fn warn(connection: &Connection, status: &Status, record: &Telemetry) {
+    let mut stream = None;
+    let record = settled(*record, |left| {
+        let stream = stream.get_or_insert_with(|| connection.telemetry());
+        stream.as_mut().ok()?.next_within(left).ok().flatten()
+    });
+    if let Some(cause) = cause(status, &record) {
         tell!(
             "warning: {cause}: the tip and its distance from obstacles are those of the model, and the true tip may be elsewhere (cdcrctl status)"
         );
     }
 }
 
+/// The record, or where its tip may be a stray one, the first one with a tip that is used, if it comes within [`STRAY_FOR`].
+fn settled(
+    mut record: Telemetry,
+    mut newer: impl FnMut(Duration) -> Option<Telemetry>,
+) -> Telemetry {
+    let until = Instant::now() + STRAY_FOR;
+    while [TipCause::Far, TipCause::Jumps]
+        .map(TipCause::code)
+        .contains(&record.tip_cause)
+        && let Some(left) = until.checked_duration_since(Instant::now())
+        && let Some(next) = newer(left)
+    {
+        record = next;
+    }
+    record
+}
+
 /// As [`warn`], of the present. A daemon that does not answer is the caller's concern.
 pub(crate) fn warn_now(connection: &Connection) {
     if let (Ok(status), Ok(record)) = (connection.status(STATUS_TIMEOUT), newest(connection)) {
-        warn(&status, &record);
+        warn(connection, &status, &record);
     }
 }
 
@@ -178,6 +204,27 @@ mod tests {
         assert!(texts().all(|(_, text)| !text.contains("--")), "{silent:?}");
         for of_never_or_always in [told(0, u64::MAX), told(u64::MAX, 800), told(u64::MAX, 0)] {
             assert!(of_never_or_always.is_empty(), "{of_never_or_always:?}");
+        }
+    }
+
+    #[test]
+    fn a_stray_tip_before_a_motion_is_no_cause() {
+        use TipCause::{Far, Frozen, Jumps, None};
+        let with = |cause: TipCause| Telemetry {
+            tip_cause: cause.code(),
+            ..Telemetry::default()
+        };
+        for (causes, kept) in [
+            (vec![None], None),
+            (vec![Jumps, Jumps, None, Far], None),
+            (vec![Far, Far, Frozen], Frozen),
+            (vec![Frozen, None], Frozen),
+            // It ends without a newer one.
+            (vec![Far, Far], Far),
+        ] {
+            let mut records = causes.into_iter().map(with);
+            let first = records.next().expect("one");
+            assert_eq!(settled(first, |_| records.next()).tip_cause, kept.code());
         }
     }
 
