@@ -192,7 +192,8 @@ def _is_stray(source: Records) -> np.ndarray:
     limit = np.where(cause == FAR, FAR_LIMIT, np.where(cause == JUMPS, source["measurement_jump_limit"], 0))
     lasts = (in_a_row > 1) & (release_ns - release_ns[first] > SILENT_NS)
     is_wrong = is_refused & ((in_a_row >= limit) | lasts)
-    return is_refused & (np.bincount(run, weights=is_wrong)[run] == 0)
+    is_stray: np.ndarray = is_refused & (np.bincount(run, weights=is_wrong)[run] == 0)
+    return is_stray
 
 
 def _measured_error(source: Records, has_reference: np.ndarray, is_stray: np.ndarray) -> tuple[Doubles, Doubles]:
