@@ -58,12 +58,12 @@ pub fn binary(name: &str) -> PathBuf {
 /// A place in shared memory that no other test uses, and a folder for other files, possibly on a disk.
 /// Dropping it removes both.
 #[derive(Debug, Deref)]
-pub struct Place(cdcr_process::Place);
+pub struct Place(cdcr_process::PrivatePlace);
 
 impl Place {
     /// Creates a place. The first one of a process sweeps what killed processes left.
     pub fn new() -> Self {
-        Self(cdcr_process::Place::new().expect("a place"))
+        Self(cdcr_process::PrivatePlace::new().expect("a place"))
     }
 
     pub fn write(&self, name: &str, text: &str) -> PathBuf {

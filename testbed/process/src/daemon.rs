@@ -8,19 +8,19 @@ use anyhow::{Result, bail};
 use cdcr_shared_types::codes::{Mode, RobotLink};
 use cdcr_shared_types::{Location, Status};
 
-use super::{POLL_INTERVAL, Place, Process};
+use super::{POLL_INTERVAL, PrivatePlace, Process};
 
 /// A running daemon. Dropping it stops the daemon and removes all of its files.
 #[derive(Debug)]
 pub struct PlacedDaemon {
     /// Declared before the place, so that the process ends before its files are removed.
     pub process: Process,
-    pub place: Place,
+    pub place: PrivatePlace,
 }
 
 impl PlacedDaemon {
     /// Starts `cdcrd run` without waiting. The command has neither robot nor place yet.
-    pub fn start(place: Place, robot: &str, mut run: Command) -> Result<Self> {
+    pub fn start(place: PrivatePlace, robot: &str, mut run: Command) -> Result<Self> {
         run.args(["--robot", robot, "--prefix", place.location().prefix()])
             .arg("--root")
             .arg(place.location().root());

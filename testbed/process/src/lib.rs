@@ -1,5 +1,5 @@
 //! Child programs: their output is kept, and no program outlives this process. Daemons run in a private
-//! [`Place`].
+//! [`PrivatePlace`].
 //!
 //! Invariant: nothing here knows a client, a robot or a benchmark, so that the demo of `cdcrctl` can use it.
 
@@ -29,7 +29,7 @@ use rustix::process::{
 
 pub use daemon::PlacedDaemon;
 pub use folder::{check_writable, fill_folder, output_folder};
-pub use place::{PREFIX, Place, ROOT, cdcrd_in, in_public_memory};
+pub use place::{PREFIX, PrivatePlace, ROOT, cdcrd_in, in_public_memory};
 
 /// Interval between checks whether a program has ended.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);

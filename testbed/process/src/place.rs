@@ -21,7 +21,7 @@ const NAMES_MAX: u32 = 100;
 
 /// A prefix and a folder that no other process uses.
 #[derive(Debug)]
-pub struct Place {
+pub struct PrivatePlace {
     location: Location,
     folder: Scratch,
     /// File in shared memory, locked until its process ends, like the folder. A process of another container
@@ -29,7 +29,7 @@ pub struct Place {
     _lock: File,
 }
 
-impl Place {
+impl PrivatePlace {
     pub fn new() -> Result<Self> {
         let mut names = 1..NAMES_MAX;
         loop {
@@ -78,7 +78,7 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for PrivatePlace {
     fn drop(&mut self) {
         // The lock, and the root folder even if a test has renamed it.
         for path in in_public_memory(self.location.prefix()) {
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn two_places_are_apart_and_leave_nothing() {
-        let (one, other) = (Place::new().unwrap(), Place::new().unwrap());
+        let (one, other) = (PrivatePlace::new().unwrap(), PrivatePlace::new().unwrap());
         assert_ne!(one.location(), other.location());
         let (folder, prefix) = (one.folder().to_owned(), one.location().prefix().to_owned());
         fs::create_dir(one.location().root()).unwrap();

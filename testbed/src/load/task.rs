@@ -157,7 +157,7 @@ fn every_core(cores: &Cores) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cdcr_process::Place;
+    use cdcr_process::PrivatePlace;
 
     fn cores_of(tasks: &[Task]) -> Vec<usize> {
         tasks.iter().filter_map(|task| task.core).collect()
@@ -165,7 +165,7 @@ mod tests {
 
     #[test]
     fn no_load_but_one_touches_the_real_time_core() {
-        let place = Place::new().unwrap();
+        let place = PrivatePlace::new().unwrap();
         let cores = Cores::find().unwrap();
         for load in Load::OWN {
             let tasks = tasks(load, &cores, Some(place.location())).unwrap();
@@ -178,7 +178,7 @@ mod tests {
 
     #[test]
     fn each_core_gets_its_own_and_all_is_the_sum() {
-        let place = Place::new().unwrap();
+        let place = PrivatePlace::new().unwrap();
         let mut cores = Cores::find().unwrap();
         (cores.realtime, cores.others) = (7, vec![2, 3, 5]);
         let count = |load| {

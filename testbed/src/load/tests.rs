@@ -148,7 +148,7 @@ fn watch(connection: &Connection, mut take: impl FnMut(EventKind, Outcome)) {
 #[test]
 fn a_daemon_that_is_not_there_is_a_failure_of_the_flood_alone() {
     let cores = Cores::find().unwrap();
-    let place = cdcr_process::Place::new().unwrap();
+    let place = cdcr_process::PrivatePlace::new().unwrap();
     let mut running = RunningLoad::start(Load::Clients, &cores, Some(place.location())).unwrap();
     thread::sleep(MOMENT);
     let done = running.end().unwrap();

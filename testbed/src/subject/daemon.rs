@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Result, bail, ensure};
 use cdcr_client::Connection;
-use cdcr_process::{Place, PlacedDaemon, program};
+use cdcr_process::{PlacedDaemon, PrivatePlace, program};
 use cdcr_shared_types::Location;
 use derive_more::Deref;
 
@@ -120,7 +120,7 @@ impl Daemon {
         cores: &Cores,
         change: impl FnOnce(&mut Command),
     ) -> Result<Self> {
-        let place = Place::new()?;
+        let place = PrivatePlace::new()?;
         let mut command = launch.command_that_ends_with_us("run")?;
         change(&mut command);
         let placed = cores.with_all(|| PlacedDaemon::start(place, ROBOT, command))?;

@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow, ensure};
 use cdcr_client::monotonic_ns;
-use cdcr_process::Place;
+use cdcr_process::PrivatePlace;
 use cdcr_shared_types::{Command, Header, Location, Request, Response, ipc};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
@@ -34,7 +34,7 @@ pub fn measure(
     samples: usize,
     mut record: impl FnMut(&'static str, u64) + Send,
 ) -> Result<()> {
-    let place = Place::new()?;
+    let place = PrivatePlace::new()?;
     let (location, shares) = (place.location(), cores.is_alone());
     let (ends, (opened, is_open)) = (AtomicBool::new(false), channel());
     let ends = &ends;

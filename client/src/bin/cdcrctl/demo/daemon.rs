@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, ensure};
 use cdcr_client::Connection;
-use cdcr_process::{Place, PlacedDaemon, program};
+use cdcr_process::{PlacedDaemon, PrivatePlace, program};
 use cdcr_shared_types::Location;
 
 use crate::interrupt::Interrupt;
@@ -15,7 +15,7 @@ const START_TIMEOUT: Duration = Duration::from_secs(10);
 const ROBOT: &str = "demo";
 
 /// Writes the configuration of the demo into its place.
-pub(super) fn write_configuration(place: &Place, text: &str) -> anyhow::Result<PathBuf> {
+pub(super) fn write_configuration(place: &PrivatePlace, text: &str) -> anyhow::Result<PathBuf> {
     let file = place.folder().join("demo.toml");
     fs::write(&file, text).with_context(|| {
         format!(
@@ -46,7 +46,7 @@ pub(super) fn undisturbed(interrupt: &Interrupt) -> anyhow::Result<()> {
 pub(super) struct DemoDaemon(PlacedDaemon);
 
 impl DemoDaemon {
-    pub(super) fn start(place: Place, config: &Path) -> anyhow::Result<Self> {
+    pub(super) fn start(place: PrivatePlace, config: &Path) -> anyhow::Result<Self> {
         let run = cdcrd("run", config)?;
         Ok(Self(PlacedDaemon::start(place, ROBOT, run)?))
     }

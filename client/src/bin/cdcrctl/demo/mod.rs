@@ -21,7 +21,7 @@ use anyhow::anyhow;
 use cdcr_client::{
     Connection, FeedEnd, FeedEvent, FeedOptions, PAPER_SECTION_M, STATUS_TIMEOUT, Spiral,
 };
-use cdcr_process::{Place, fill_folder, output_folder};
+use cdcr_process::{PrivatePlace, fill_folder, output_folder};
 
 use crate::Done;
 use crate::args::{DemoOptions, Format};
@@ -76,7 +76,7 @@ pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
 /// Measures the baseline, then runs a daemon that tracks the spiral; both end in any case. `None`:
 /// interrupted.
 fn measure(sections: usize, spiral: &Spiral, interrupt: &Interrupt) -> anyhow::Result<Option<Run>> {
-    let place = Place::new()?;
+    let place = PrivatePlace::new()?;
     let config = daemon::write_configuration(&place, &config::text(sections, spiral))?;
     let baseline = match Baseline::measure(&config, interrupt) {
         Ok(Some(baseline)) => Ok(baseline),
