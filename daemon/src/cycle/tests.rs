@@ -10,7 +10,6 @@ mod play;
 mod rehearsal;
 mod reset;
 mod stall;
-mod tip_age;
 mod tip_frame;
 mod tip_margin;
 mod trial;
