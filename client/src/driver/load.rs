@@ -1,5 +1,6 @@
 //! A load keeps a robot beside the place where its motors stand: sag, and the droop of servos.
 
+use cdcr_shared_types::codes::MeasurementKind;
 use cdcr_shared_types::limits::{BEND_TOLERANCE_RAD, POSE_DIFFERS_RAD};
 use cdcr_shared_types::{Measurement, RobotDescription};
 
@@ -13,14 +14,14 @@ const STEP_MAX_S: f64 = 0.1;
 /// Mean distance from the measured robot to its motors while they followed commands.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Load {
-    known: Option<Known>,
+    /// By measured bends, and by measured cables.
+    known: [Option<Known>; 2],
 }
 
 #[derive(Debug, Clone, Copy)]
 struct Known {
-    /// Of what is measured, bends or cables. The other one is not used.
+    /// Of the bends or the cables; the others are not used.
     distance: CommandedPosition,
-    kind: u32,
     measured_ns: u64,
 }
 
@@ -28,8 +29,8 @@ impl Load {
     /// Adds a measurement of the robot while the motors were at `motors`.
     pub(super) fn learn(&mut self, motors: &CommandedPosition, measured: &Measurement) {
         let distance = motors.minus(&CommandedPosition::from_measurement(measured));
-        let before = self.known.filter(|known| known.kind == measured.kind);
-        let distance = before.map_or(distance, |before| {
+        let known = &mut self.known[kind_of(measured)];
+        let distance = known.map_or(distance, |before| {
             let passed_ns = measured.measured_ns.saturating_sub(before.measured_ns);
             let passed_s = (1e-9 * passed_ns as f64).min(STEP_MAX_S);
             before
@@ -37,9 +38,8 @@ impl Load {
                 .towards(&distance, passed_s / TIME_CONSTANT_S)
         });
         if distance.is_finite() {
-            self.known = Some(Known {
+            *known = Some(Known {
                 distance,
-                kind: measured.kind,
                 measured_ns: measured.measured_ns,
             });
         }
@@ -53,11 +53,15 @@ impl Load {
         motors: &CommandedPosition,
         measured: &Measurement,
     ) -> bool {
-        let Some(known) = self.known.filter(|known| known.kind == measured.kind) else {
+        let Some(known) = &self.known[kind_of(measured)] else {
             return false;
         };
         let place = motors.minus(&known.distance);
         bounds::check_near(robot, &place, measured, BEND_TOLERANCE_RAD).is_ok()
             && bounds::check_near(robot, motors, measured, POSE_DIFFERS_RAD).is_ok()
     }
+}
+
+fn kind_of(measured: &Measurement) -> usize {
+    usize::from(measured.kind == MeasurementKind::CableLengths.code())
 }

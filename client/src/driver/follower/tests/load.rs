@@ -125,3 +125,28 @@ fn measurements_that_are_no_numbers_are_no_load() {
         assert!((motors_rad - MOTORS_RAD).abs() < 1e-12, "{motors_rad}");
     }
 }
+
+/// A driver that measures the bends and the cables by turns.
+#[test]
+fn each_kind_of_measurement_has_an_average_of_its_own() {
+    let jams =
+        |motors_rad: f64, cycle: u64| motors_rad - 0.0015 * (cycle.clamp(820, 900) - 820) as f64;
+    let mut follower = CommandFollower::new(&robot(), Interface::Position);
+    for cycle in 1..RESET {
+        let mode = if cycle < 900 {
+            Mode::Holding
+        } else {
+            Mode::Stopped
+        };
+        let motors_rad = MOTORS_RAD.min(0.002 * cycle as f64);
+        take(&mut follower, &in_mode(mode, cycle, motors_rad)).unwrap();
+        for kind in KINDS {
+            follower.tell_measured(&measured(kind, cycle, jams(motors_rad, cycle)));
+        }
+    }
+    let motors_rad = reset(&mut follower);
+    assert!(
+        (motors_rad - jams(MOTORS_RAD, RESET)).abs() < 1e-9,
+        "{motors_rad}"
+    );
+}
