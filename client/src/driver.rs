@@ -3,6 +3,7 @@ mod commanded;
 mod follower;
 mod load;
 mod measured;
+mod measured_bends;
 mod refusal;
 mod section_ends;
 

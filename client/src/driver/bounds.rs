@@ -89,12 +89,11 @@ fn check_strokes(
     Ok(())
 }
 
-/// Refuses a position that differs from the measured one by more than `most_rad` in a bend component, or by as much in a cable.
+/// Refuses a first position that differs from the measured one.
 pub(super) fn check_near(
     robot: &RobotDescription,
-    position: &CommandedPosition,
+    command: &Command,
     measured: &Measurement,
-    most_rad: f64,
 ) -> Result<(), CommandRefusal> {
     let near = |at: usize, way: f64, most: f64| {
         let is_near = way.abs() <= most;
@@ -103,15 +102,15 @@ pub(super) fn check_near(
     };
     let mut tolerance_m = 0.0;
     for (j, section) in sections(robot).iter().enumerate() {
-        tolerance_m += most_rad * section.cable_radius_m;
+        tolerance_m += BEND_TOLERANCE_RAD * section.cable_radius_m;
         if measured.kind == MeasurementKind::Configuration.code() {
             for i in 2 * j..2 * j + 2 {
-                let distance_rad = position.bend_rad[i] - measured.bend_rad[i];
-                near(i, distance_rad, most_rad)?;
+                let distance_rad = command.bend_target_rad[i] - measured.bend_rad[i];
+                near(i, distance_rad, BEND_TOLERANCE_RAD)?;
             }
         } else if measured.kind == MeasurementKind::CableLengths.code() {
             for i in 3 * j..3 * j + 3 {
-                let distance_m = position.cable_length_m[i] - measured.cable_length_m[i];
+                let distance_m = command.cable_length_m[i] - measured.cable_length_m[i];
                 near(i, distance_m, tolerance_m)?;
             }
         }

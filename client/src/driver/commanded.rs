@@ -1,5 +1,5 @@
+use cdcr_shared_types::Command;
 use cdcr_shared_types::limits::{CABLES_MAX, COORDINATES_MAX};
-use cdcr_shared_types::{Command, Measurement};
 
 /// Commanded rates. The default is rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,19 +34,6 @@ impl CommandedPosition {
             bend_rad: command.bend_target_rad,
             cable_length_m: command.cable_length_m,
         }
-    }
-
-    /// What is measured: the bends or the cables; the others are 0.
-    pub(super) fn from_measurement(measured: &Measurement) -> Self {
-        Self {
-            bend_rad: measured.bend_rad,
-            cable_length_m: measured.cable_length_m,
-        }
-    }
-
-    pub(super) fn is_finite(&self) -> bool {
-        let mut numbers = self.bend_rad.iter().chain(&self.cable_length_m);
-        numbers.all(|number| number.is_finite())
     }
 
     /// `command` with this position.

@@ -3,13 +3,14 @@ mod present;
 use std::ops::Range;
 
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode};
-use cdcr_shared_types::limits::BEND_TOLERANCE_RAD;
 use cdcr_shared_types::{Command, Measurement, RobotDescription};
 
 use present::Present;
 
 use super::load::Load;
-use super::{CommandRefusal, CommandedPosition, CommandedRates, bounds, section_ends};
+use super::{
+    CommandRefusal, CommandedPosition, CommandedRates, bounds, measured_bends, section_ends,
+};
 
 /// Rates and positions that a driver applies at any time, from the received commands. Rates expire, positions
 /// do not overshoot, and inadmissible commands are refused.
@@ -47,8 +48,8 @@ const ROUNDING_S: f64 = 1e-8;
 /// After a gap the motors move at this multiple of the commanded speed at most: at twice the speed they have caught up
 /// after as long as the gap was.
 const CATCH_UP: f64 = 2.0;
-/// Section ends move at this multiple of their limit at most: the daemon limits their speed in the estimated shape of the robot,
-/// which is not quite the commanded one. A daemon that was started again with a wider limit is held to it.
+/// Section ends move at this multiple of their limit at most: positions are followed more slowly, speeds refused. The daemon limits
+/// the speed in the estimated shape of the robot, which is not quite this driver's; one that was started again may have a wider limit.
 const TIP_SPEED_MARGIN: f64 = 1.5;
 /// Least share of the robot's speed at which a move is made, so that a short one ends.
 const PACE_MIN: f64 = 1e-3;
@@ -78,10 +79,10 @@ impl CommandFollower {
         }
         self.measured = Some(*measurement);
         let measured_ns = measurement.measured_ns;
-        let obeys = |present: &&Present| !rests(&present.command) && !present.has_gap(measured_ns);
-        if let Some(present) = self.present.as_ref().filter(obeys) {
-            self.load
-                .learn(&present.position_at(measured_ns), measurement);
+        if let Some(present) = &self.present {
+            let obeys = !rests(&present.command) && !present.has_gap(measured_ns);
+            let motors = present.position_at(measured_ns);
+            self.load.learn(&self.robot, &motors, measurement, obeys);
         }
     }
 
@@ -102,7 +103,7 @@ impl CommandFollower {
     /// The reason of a refusal, which is also counted. The present command stays in force until it expires.
     pub fn take(&mut self, command: &Command, now_ns: u64) -> Result<(), CommandRefusal> {
         let begin = self.position_at(now_ns);
-        let stays = self.stays(command, begin.as_ref());
+        let stays = self.stays(command, now_ns);
         let offset = self.offset_of(command, begin.as_ref(), stays, now_ns);
         let commanded = CommandedPosition::from_command(command);
         let end = offset.map_or(commanded, |offset| commanded.plus(&offset));
@@ -228,13 +229,17 @@ impl CommandFollower {
             return Ok(());
         }
         let takes_s = 1e-9 * (command.target_ns - command.release_ns).max(1) as f64;
-        let (end, rates) = (
-            CommandedPosition::from_command(command),
-            &command.bend_rate_rad_s,
-        );
-        let mut begin = end;
-        for (bend_rad, rate_rad_s) in begin.bend_rad.iter_mut().zip(rates) {
-            *bend_rad -= rate_rad_s * takes_s;
+        let mut begin = CommandedPosition::from_command(command);
+        // The commanded shape of motors of speeds may have drifted away from the robot.
+        if let Some(measured) = &self.measured {
+            let bends_rad = measured_bends::bends_rad(&self.robot, measured);
+            if bends_rad.iter().all(|rad| rad.is_finite()) {
+                begin.bend_rad = bends_rad;
+            }
+        }
+        let mut end = begin;
+        for (bend_rad, rate_rad_s) in end.bend_rad.iter_mut().zip(&command.bend_rate_rad_s) {
+            *bend_rad += rate_rad_s * takes_s;
         }
         let speed_m_s = section_ends::way_m(&self.robot, &begin, &end) / takes_s;
         if speed_m_s > TIP_SPEED_MARGIN * limit_m_s {
@@ -247,13 +252,11 @@ impl CommandFollower {
     }
 
     /// In Holding after a reset: the robot is where its load has kept it beside these motors.
-    fn stays(&self, command: &Command, standing: Option<&CommandedPosition>) -> bool {
+    fn stays(&self, command: &Command, now_ns: u64) -> bool {
         let is_kept = |present: &Present| {
-            let is_beside = || {
-                let (motors, measured) = (standing?, self.measured.as_ref()?);
-                Some(self.load.keeps(&self.robot, motors, measured))
-            };
-            present.stays || rests(&present.command) && is_beside() == Some(true)
+            let stays = present.stays && !present.has_gap(now_ns);
+            let begins = rests(&present.command) && self.load.explains_distance();
+            present.is_of_sender(command) && (stays || begins)
         };
         self.interface == Interface::Position
             && command.mode == Mode::Holding.code()
@@ -351,8 +354,7 @@ impl CommandFollower {
         self.check_tip_speed(command)?;
         match (standing, &self.measured) {
             (None, Some(measured)) if self.interface == Interface::Position => {
-                let position = CommandedPosition::from_command(command);
-                bounds::check_near(&self.robot, &position, measured, BEND_TOLERANCE_RAD)
+                bounds::check_near(&self.robot, command, measured)
             }
             _ => Ok(()),
         }

@@ -123,8 +123,8 @@ pub enum CommandRefusal {
         /// Its limit \[m/s\].
         limit_m_s: f64,
     },
-    /// The end of a section is far beyond its largest speed. The daemon limits the speed of the robot's estimated shape, so a
-    /// little more than the limit is no error.
+    /// The end of a section is beyond 1.5 times its largest speed. The daemon limits the speed of the robot's estimated shape, so a
+    /// smaller excess is no error.
     #[error(
         "the end of a section is commanded at {speed_m_s:.3} m/s, the limit was {limit_m_s} m/s when this driver was opened: start the driver \
          again if the limit of the daemon was changed"

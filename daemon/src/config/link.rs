@@ -75,9 +75,9 @@ table! {
         /// Age at which the driver's measurement is lost, a fault, {range}. A tip sensor silent for this time
         /// and at least 1 s can be replaced by another one.
         measurement_timeout_ms: f64 = 50.0, in 1.0..=10_000.0;
-        /// Largest age at its arrival of a tip that is measured beside bends or cables, {range}, and at most 100 periods; 0:
-        /// link.measurement_timeout_ms. For a camera whose evaluation takes longer than that.
-        tip_age_max_ms: f64 = 0.0, in 0.0..=1000.0, "at most 100 times cycle.period_ms";
+        /// Largest age at its arrival of a tip that is measured beside bends or cables, {range}, and at most 120 periods less
+        /// actuator.delay_ms; 0: link.measurement_timeout_ms. For a camera whose evaluation takes longer than that.
+        tip_age_max_ms: f64 = 0.0, in 0.0..=500.0, "at most 120 times cycle.period_ms, less actuator.delay_ms";
         /// Validity of a command after its release, {range}; then the robot holds unless a newer one has arrived; 0: three
         /// periods.
         command_valid_ms: f64 = 0.0, in 0.0..=10_000.0;

@@ -31,9 +31,13 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<()> {
         ("cycle.gather_lead_ms", 0.0, half_ms),
         ("cycle.watchdog_ms", 10.0 * period_ms, endless),
         ("realtime.spin_us", spin_min_us, 1e3 * half_ms),
-        // The estimator remembers 128 periods, and measurements have an age.
+        // The estimator remembers 128 periods of commands: the delay, and the age of a measurement.
         ("actuator.delay_ms", 0.0, 64.0 * period_ms),
-        ("link.tip_age_max_ms", 0.0, 100.0 * period_ms),
+        (
+            "link.tip_age_max_ms",
+            0.0,
+            120.0 * period_ms - config.actuator.delay_ms,
+        ),
     ] {
         let limit = match named(key) {
             (_, value) if value < low => format!("at least {low}"),

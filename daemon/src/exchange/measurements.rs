@@ -238,7 +238,8 @@ impl Measurements {
         }
         let interface = convert::interface(self.interface);
         let timed = convert::measurement(message, robot, interface, arrival.now_ns)?;
-        let is_beside = self.tip_sensor.is_some() || self.has_bends;
+        let has_bends = self.has_bends && self.driver.is_bound_to(message.header.sender_id);
+        let is_beside = self.tip_sensor.is_some() || has_bends;
         let age_max_ns = match timed.measurement {
             Measured::TipPosition(_) if is_beside => self.tip_age_max_ns,
             _ => self.timeout_ns,
@@ -247,7 +248,7 @@ impl Measurements {
             return Err(Refused::whole(Outcome::InThePast));
         }
         // Later, cables that run free are a fault of their own (`safety::CommonModeWatch`).
-        let is_first = !(self.has_bends && self.driver.is_bound_to(message.header.sender_id));
+        let is_first = !has_bends;
         if let Measured::CableLengths(lengths_m) = &timed.measurement
             && is_first
             && let Some(section) = robot.section_of_foreign_cables(lengths_m)

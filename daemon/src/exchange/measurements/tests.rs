@@ -13,6 +13,7 @@ struct Rig {
     now_ns: u64,
     /// Of a measurement at its arrival \[ns\].
     age_ns: u64,
+    is_faulted: bool,
 }
 
 impl Rig {
@@ -24,6 +25,7 @@ impl Rig {
             robot: validated.robot,
             now_ns: 1_000_000_000,
             age_ns: 0,
+            is_faulted: false,
         }
     }
 
@@ -56,7 +58,7 @@ impl Rig {
         let arrival = Arrival {
             gather_ns: self.now_ns,
             now_ns: self.now_ns,
-            is_faulted: false,
+            is_faulted: self.is_faulted,
         };
         let taken = self.desk.take(&message, true, &self.robot, arrival);
         taken.unwrap_or_else(|refused| refused.outcome)
@@ -236,10 +238,17 @@ fn a_tip_beside_bends_has_a_largest_age_of_its_own() {
             assert_eq!(rig.take(sender, kind), outcome, "{age_ms} ms");
         }
     }
-    // A driver that measures the tip alone has no bends beside it.
-    let mut rig = Rig::new(slow);
-    rig.age_ns = 60_000_000;
-    assert_eq!(rig.take(1, TIP), Outcome::InThePast);
+    // A driver that measures the tip alone has no bends beside it, also where the one before it measured them.
+    for has_predecessor in [false, true] {
+        let mut rig = Rig::new(slow);
+        if has_predecessor {
+            rig.accept(2, BENDS);
+            rig.now_ns += 1_000_000_000;
+            rig.is_faulted = true;
+        }
+        rig.age_ns = 60_000_000;
+        assert_eq!(rig.take(1, TIP), Outcome::InThePast);
+    }
 }
 
 #[test]
