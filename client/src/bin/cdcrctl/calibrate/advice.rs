@@ -53,17 +53,16 @@ pub(super) fn text(
         " Repeat cdcrctl calibrate excite to its end, with a longer --duration (a minute is usual), or a larger --bend-max, or \
          send the rotation of the tip, too.",
     );
-    if correlation <= CORRELATED {
-        out.push_str(
-            " Or measure base and sensor by other means and hold them (--hold base,sensor).",
-        );
-    }
     if correlation > CORRELATED {
         let _ = write!(
             out,
             "\nFirst correct the model: residuals of consecutive rows are correlated, which makes the bounds {correlation:.1} times as wide. \
              It lacks an effect: actuator.play_m is {:.3} mm (docs/calibration.md), or a load, friction, or values of --hold that are wrong.",
             1e3 * recording.play_m
+        );
+    } else {
+        out.push_str(
+            " Or measure base and sensor by other means and hold them (--hold base,sensor).",
         );
     }
     out
