@@ -19,7 +19,7 @@ use actuator::{ActuatorModel, added};
 pub use slack::Slack;
 use tip_filter::{TIP_NOISE_M, TipFilter};
 use tip_offset::TipOffset;
-pub use tip_offset::{TipRefusal, tip_offset_max_m};
+pub use tip_offset::{FAR_LIMIT, TipRefusal, tip_offset_max_m};
 
 /// Number of low-pass filters in series. The rates follow the estimate at once, so noise changes them by the second difference of the
 /// estimate. At the same delay, three filters give a tenth of the second difference of two.

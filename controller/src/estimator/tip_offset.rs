@@ -23,7 +23,7 @@ pub fn tip_offset_max_m(reach_m: f64) -> f64 {
 }
 
 /// After so many larger ones in a row the margin covers them: fewer may be an error of the sensor.
-const FAR_LIMIT: u32 = 3;
+pub const FAR_LIMIT: u32 = 3;
 /// Largest rate (m/s) at which the offset follows the measurements beside its slope, and with it the tip. If the axes of
 /// the sensor are swapped, turned or mirrored, each motion of the tip moves the measured offset farther from the one
 /// followed: without this limit, such a tip was moved at 0.9 m/s where 0.1 m/s was asked.

@@ -1,10 +1,10 @@
-use cdcr_controller::estimator::Measurement;
+use cdcr_controller::estimator::{FAR_LIMIT, Measurement};
 use nalgebra::Vector3;
 
 use crate::handover::{TimedMeasurement, TipCause};
 
 /// Distance of the tip from its reference, as measured by a tip sensor: includes the error of the model and
-/// the noise of the sensor, without measurements that jump one by one.
+/// the noise of the sensor, without stray measurements: those that jump one by one, or are too far away fewer than [`FAR_LIMIT`] times in a row.
 #[derive(Debug)]
 pub(super) struct MeasuredError {
     /// The newest release \[ns\], and the reference at that time \[m\]; NaN without one.
@@ -12,6 +12,9 @@ pub(super) struct MeasuredError {
     reference_m: Vector3<f64>,
     measured_ns: u64,
     distance_m: f64,
+    /// The newest tip beside bends or cables \[ns\], and the number of refused ones in a row.
+    tip_ns: u64,
+    refused: u32,
 }
 
 impl Default for MeasuredError {
@@ -21,6 +24,8 @@ impl Default for MeasuredError {
             reference_m: Vector3::repeat(f64::NAN),
             measured_ns: 0,
             distance_m: f64::NAN,
+            tip_ns: 0,
+            refused: 0,
         }
     }
 }
@@ -44,7 +49,7 @@ impl MeasuredError {
         let period_ns = release_ns.saturating_sub(self.release_ns).max(1) as f64;
         let moved_m = reference_m - self.reference_m;
         (self.release_ns, self.reference_m) = (release_ns, reference_m);
-        let tip = tip.filter(|_| unused != Some(TipCause::Jumps));
+        let tip = tip.filter(|tip| !self.is_stray(tip, unused));
         for timed in tip.into_iter().chain(driver) {
             let Measurement::TipPosition(tip_m) = timed.measurement else {
                 continue;
@@ -57,6 +62,20 @@ impl MeasuredError {
         }
         if !reference_m.x.is_finite() {
             self.distance_m = f64::NAN;
+        }
+    }
+
+    fn is_stray(&mut self, tip: &TimedMeasurement, unused: Option<TipCause>) -> bool {
+        if unused.is_none() {
+            self.refused = 0;
+        } else if tip.measured_ns > self.tip_ns {
+            self.refused = self.refused.saturating_add(1);
+        }
+        self.tip_ns = self.tip_ns.max(tip.measured_ns);
+        match unused {
+            Some(TipCause::Jumps) => true,
+            Some(TipCause::Far) => self.refused < FAR_LIMIT,
+            _ => false,
         }
     }
 }
@@ -91,13 +110,20 @@ mod tests {
 
     #[test]
     fn a_stray_tip_has_no_error() {
+        use TipCause::{Far, Jumps, WasFar};
         let mut error = MeasuredError::default();
         let reference_m = Vector3::new(0.1, 0.0, 0.5);
         error.take(100, reference_m, (None, None), None);
         for (release_ns, x_m, unused, known_m) in [
             (110, 0.11, None, 0.01),
-            (120, 0.4, Some(TipCause::Jumps), 0.01),
-            (130, 0.4, Some(TipCause::Far), 0.3),
+            (120, 0.4, Some(Jumps), 0.01),
+            (130, 0.12, None, 0.02),
+            (140, 0.4, Some(Far), 0.02),
+            (150, 0.11, None, 0.01),
+            (160, 0.4, Some(Far), 0.01),
+            (170, 0.4, Some(Far), 0.01),
+            (180, 0.4, Some(Far), 0.3),
+            (190, 0.3, Some(WasFar), 0.2),
         ] {
             let tip = TimedMeasurement {
                 measurement: Measurement::TipPosition(Vector3::new(x_m, 0.0, 0.5)),
@@ -105,6 +131,8 @@ mod tests {
                 rested_ns: [0; 2],
             };
             error.take(release_ns, reference_m, (Some(&tip), unused), None);
+            // The same tip in the next cycle is no other stray one.
+            error.take(release_ns + 5, reference_m, (Some(&tip), unused), None);
             let distance_m = error.distance_m();
             assert!(
                 (distance_m - known_m).abs() < 1e-12,

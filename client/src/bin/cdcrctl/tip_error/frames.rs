@@ -1,3 +1,4 @@
+use cdcr_controller::estimator::FAR_LIMIT;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::TipCause;
 
@@ -27,9 +28,6 @@ pub(super) struct Frames {
     since_ns: u64,
     is_refused: bool,
 }
-
-/// So many in a row beyond the largest offset are no stray ones for the daemon.
-const FAR_LIMIT: u32 = 3;
 
 impl Frames {
     pub(super) fn take(&mut self, record: &Telemetry) -> Frame {
