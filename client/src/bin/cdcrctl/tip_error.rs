@@ -100,6 +100,7 @@ impl TipError {
     /// Adds a record, if its cycle tracked.
     pub(crate) fn take(&mut self, record: &Telemetry) {
         let frame = self.frames.take(record);
+        self.measured.settle(frame, self.frames.is_refused());
         if record.mode != Mode::Tracking.code() || record.release_ns < self.fed_ns {
             self.measured.is_left = true;
             return;

@@ -81,6 +81,11 @@ impl Frames {
         self.is_refused || silence_ns(release_ns, self.kept_ns).is_some()
     }
 
+    /// Whether tips are refused for longer: also the first of them were no stray ones.
+    pub(super) fn is_refused(&self) -> bool {
+        self.is_refused
+    }
+
     /// The same of a single refusal, where nothing else was measured.
     pub(super) fn is_unmeasured(&self) -> bool {
         self.is_refused || self.kept_ns == 0

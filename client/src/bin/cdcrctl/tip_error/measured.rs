@@ -46,12 +46,17 @@ const FRESH_INTERVALS: u64 = 2;
 const REMEMBERED: usize = 100;
 
 impl Measured {
-    pub(super) fn take(&mut self, record: &Telemetry, frame: Frame) {
-        match frame {
-            Frame::Used => self.strays += core::mem::take(&mut self.pending).count,
-            Frame::Refused => self.sums.add(core::mem::take(&mut self.pending)),
-            Frame::Known | Frame::Stray => {}
+    /// Decides about the pending ones by a record, also by one that does not track or has no new tip.
+    pub(super) fn settle(&mut self, frame: Frame, is_refused: bool) {
+        if is_refused {
+            self.sums.add(core::mem::take(&mut self.pending));
+        } else if frame == Frame::Used {
+            self.strays += core::mem::take(&mut self.pending).count;
         }
+    }
+
+    /// Takes a record that tracks, after [`Self::settle`].
+    pub(super) fn take(&mut self, record: &Telemetry, frame: Frame) {
         if core::mem::take(&mut self.is_left) {
             self.reference.clear();
         } else if self.reference.len() == REMEMBERED {

@@ -344,3 +344,34 @@ fn stray_tips_are_counted_beside_the_measured_error_and_those_of_a_wrong_sensor_
         "{text}"
     );
 }
+
+#[test]
+fn refused_tips_count_as_measured_when_a_second_has_passed_without_another() {
+    const STEP_NS: u64 = 30_000_000;
+    for (end, after_ns, measured, strays) in [
+        (Mode::Tracking, 1_000_000_000, 3, 0),
+        (Mode::Holding, 1_000_000_000, 3, 0),
+        (Mode::Tracking, 900_000_000, 1, 2),
+    ] {
+        let mut error = TipError::default();
+        let mut take = |mode, release_ns, tip_ns, cause: TipCause| {
+            let mut record = record(mode, ReferenceState::Inside, release_ns, 0.001);
+            record.measurement_jump_limit = 9;
+            (record.tip_measured_ns, record.tip_cause) = (tip_ns, cause.code());
+            error.take(&record);
+        };
+        for (k, cause) in (1..).zip([
+            TipCause::None,
+            TipCause::None,
+            TipCause::Jumps,
+            TipCause::Jumps,
+        ]) {
+            take(Mode::Tracking, k * STEP_NS, k * STEP_NS - 1, cause);
+        }
+        // Of the last tip, four steps after the first.
+        let last_ns = 3 * STEP_NS + 1 + after_ns;
+        take(end, last_ns, 4 * STEP_NS - 1, TipCause::Jumps);
+        let count = error.measured_mean_max_m().map(|(_, count)| count);
+        assert_eq!((count, error.strays()), (Some(measured), strays), "{end:?}");
+    }
+}
