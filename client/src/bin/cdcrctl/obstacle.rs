@@ -1,4 +1,5 @@
 mod feed;
+mod removals;
 mod scene;
 
 use std::collections::BTreeSet;
@@ -9,13 +10,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{anyhow, bail};
 use cdcr_client::{
-    Connection, LinkError, ObstacleSender, TelemetryStream, check_place, counted, monotonic_ns,
-    remedy,
+    Connection, LinkError, ObstacleSender, check_place, counted, monotonic_ns, remedy,
 };
 use cdcr_controller::robot::{OBSTACLE_COMPONENT, OBSTACLE_RADIUS_M};
 use cdcr_shared_types::codes::{EventKind, ObstacleShape, Outcome};
 use cdcr_shared_types::limits::{OBSTACLE_AGE_MS_MAX, OBSTACLE_SPEED_M_S_MAX, OBSTACLES_MAX};
-use cdcr_shared_types::{Header, Obstacle, Status, Telemetry};
+use cdcr_shared_types::{Header, InputEvent, Obstacle, Status, Telemetry};
 
 use crate::Done;
 use crate::args::{Format, ObstacleAction, ObstacleAdd, ObstacleOptions, Target};
@@ -76,7 +76,8 @@ fn change(
 ) -> anyhow::Result<Done> {
     let mut telemetry = connection.telemetry()?;
     let sender = connection.obstacle_sender()?;
-    let known = accepted(&mut telemetry, &send(&sender)?)?;
+    let header = send(&sender)?;
+    let known = accepted(&telemetry.event_on(EventKind::Obstacles, &header, TIMEOUT)?)?;
     writeln!(
         std::io::stdout(),
         "obstacles: accepted, {known} known to the daemon now"
@@ -114,9 +115,8 @@ fn margin_text(margin_m: f64) -> String {
     )
 }
 
-/// Number of known obstacles after this message was accepted.
-fn accepted(telemetry: &mut TelemetryStream, header: &Header) -> anyhow::Result<u32> {
-    let event = telemetry.event_on(EventKind::Obstacles, header, TIMEOUT)?;
+/// Number of known obstacles after a message was accepted; `event` is about it.
+fn accepted(event: &InputEvent) -> anyhow::Result<u32> {
     match Outcome::try_from(event.outcome).unwrap_or(Outcome::UnknownCode) {
         Outcome::Accepted => Ok(event.detail),
         outcome => bail!("rejected by the daemon: {outcome}. {}", advice(outcome)),

@@ -6,7 +6,7 @@ use std::net::UdpSocket;
 use std::process::{Child, Output, Stdio};
 use std::time::Duration;
 
-use cdcr_tests::{Daemon, STALL_TOLERANT, TIMEOUT, assert_output, wait_status};
+use cdcr_tests::{Daemon, STALL_TOLERANT, TIMEOUT, assert_output, ball, wait_status};
 use serde_json::Value;
 
 use super::freeze;
@@ -128,7 +128,7 @@ fn obstacles_are_taken_as_a_program_writes_them() {
     assert_output(&ended(camera), 1, &["standard input: line 2"]);
     wait_status(&connection, |status| status.obstacle_count == 0);
 
-    // An id that nobody knew is named, unless this program has sent it.
+    // An id that nobody had is named: not one of another client, nor one that this program sent, unless it has removed it.
     let mut camera = piped(&daemon, "obstacle stdin");
     write(
         &mut camera,
@@ -136,9 +136,14 @@ fn obstacles_are_taken_as_a_program_writes_them() {
     );
     wait_status(&connection, |status| status.obstacle_count == 1);
     checked(&daemon, "obstacle clear", 0, "0 known");
-    write(&mut camera, "{\"remove\": [5, 99]}\n");
-    let unknown = "0 known to the daemon now\nnothing to remove: no obstacle with id 99 was known";
-    assert_output(&ended(camera), 0, &["2 changes accepted", unknown]);
+    let other = connection.obstacle_sender().unwrap();
+    other.upsert(&[ball(6, [0.5, 0.0, 0.5])]).unwrap();
+    wait_status(&connection, |status| status.obstacle_count == 1);
+    let removes = "{\"remove\": [5, 99]}\n{\"remove\": [6, 99]}\n{\"remove\": [5]}\n";
+    write(&mut camera, removes);
+    let unknown =
+        "0 known to the daemon now\nnothing to remove: no obstacle with id 5, 99 was known";
+    assert_output(&ended(camera), 0, &["4 changes accepted", unknown]);
 
     // What was not sent says nothing about what is known.
     let output = ended(piped(&daemon, "obstacle stdin"));

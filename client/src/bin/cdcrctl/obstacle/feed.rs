@@ -1,6 +1,5 @@
 //! Obstacles from a scene file or from lines on the standard input.
 
-use std::collections::BTreeSet;
 use std::io::{BufRead, Read as _, Write};
 use std::path::Path;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
@@ -8,16 +7,20 @@ use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
-use cdcr_client::{Connection, ObstacleSender, TelemetryStream, counted, monotonic_ns};
+use cdcr_client::{
+    Connection, LinkError, Liveness, ObstacleSender, TelemetryStream, counted, event_about,
+    monotonic_ns,
+};
+use cdcr_shared_types::codes::EventKind;
 use cdcr_shared_types::limits::OBSTACLES_MAX;
-use cdcr_shared_types::{Header, Obstacle};
+use cdcr_shared_types::{Header, Obstacle, Service};
 
+use super::removals::Removals;
 use super::scene::{self, SceneAction, SceneChange};
-use super::{TIMEOUT, accepted, check, unknown_text};
+use super::{TIMEOUT, accepted, check};
 use crate::Done;
 use crate::files::read_text;
 use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt};
-use crate::known_obstacles::known;
 
 /// Maximum number of queued lines: a faster writer waits.
 const WAITING: usize = 1024;
@@ -29,16 +32,13 @@ const LINE_MAX: u64 = 65_536;
 type SceneLine = Result<SceneChange, String>;
 
 /// Sends changes and counts them.
-struct Feed<'a> {
-    connection: &'a Connection,
+struct Feed {
     sender: ObstacleSender,
     telemetry: TelemetryStream,
     changes: usize,
     /// Obstacles that the daemon knew after the last change.
     known: Option<u32>,
-    /// Those that it sent, and the removed ones that nobody had: the daemon does not report which it knew.
-    sent: BTreeSet<u32>,
-    unknown: Vec<u32>,
+    removals: Removals,
 }
 
 /// `cdcrctl obstacle file PATH`: sends each change at its time. The whole file is checked first.
@@ -173,17 +173,20 @@ fn read_lines() -> Receiver<SceneLine> {
     receive
 }
 
-impl<'a> Feed<'a> {
-    fn new(connection: &'a Connection) -> anyhow::Result<Self> {
-        Ok(Self {
-            connection,
+impl Feed {
+    fn new(connection: &Connection) -> anyhow::Result<Self> {
+        let mut feed = Self {
             telemetry: connection.telemetry()?,
             sender: connection.obstacle_sender()?,
             changes: 0,
             known: None,
-            sent: BTreeSet::new(),
-            unknown: Vec::new(),
-        })
+            removals: Removals::default(),
+        };
+        // What the daemon knows before the first change.
+        if let Some(record) = feed.telemetry.next_within(TIMEOUT)? {
+            feed.removals.see(&record);
+        }
+        Ok(feed)
     }
 
     /// Sends the changes in order, in as few messages as possible.
@@ -196,16 +199,8 @@ impl<'a> Feed<'a> {
         };
         for group in changes.chunk_by(is_same) {
             if let SceneAction::Remove(ids) = &group[0].action {
-                let mut others: Vec<_> = (ids.iter().copied())
-                    .filter(|id| !self.sent.contains(id))
-                    .collect();
-                if !others.is_empty() {
-                    let known = known(self.connection, TIMEOUT)?;
-                    others.retain(|id| known.iter().all(|known| known.id != *id));
-                }
                 let header = self.sender.remove(ids)?;
                 self.note(&header, group)?;
-                self.unknown.extend(others);
                 continue;
             }
             for some in group.chunks(OBSTACLES_MAX) {
@@ -216,23 +211,50 @@ impl<'a> Feed<'a> {
                 let obstacles: Vec<Obstacle> = some.iter().filter_map(obstacle).collect();
                 let header = self.sender.upsert_anywhere(&obstacles)?;
                 self.note(&header, some)?;
-                self.sent.extend(obstacles.iter().map(|known| known.id));
+                self.removals.sent(&obstacles);
             }
         }
         Ok(())
     }
 
     fn note(&mut self, header: &Header, sent: &[SceneChange]) -> anyhow::Result<()> {
-        let known = accepted(&mut self.telemetry, header);
+        let known = self.decided(header, &sent[0].action);
         self.known = Some(known.map_err(|cause| refused(sent, &cause, self.changes))?);
         self.changes += sent.len();
         Ok(())
     }
 
+    /// Number of known obstacles after this message, which began with `action`, was accepted.
+    fn decided(&mut self, header: &Header, action: &SceneAction) -> anyhow::Result<u32> {
+        let until = Instant::now() + TIMEOUT;
+        let left = || until.saturating_duration_since(Instant::now());
+        while let Some(record) = self.telemetry.next_within(left())? {
+            let event = event_about(&record, EventKind::Obstacles, header);
+            let known = event.map(|event| accepted(&event)).transpose()?;
+            // By the records before.
+            if let (Some(_), SceneAction::Remove(ids)) = (known, action) {
+                self.removals.removed(ids);
+            }
+            self.removals.see(&record);
+            if let Some(known) = known {
+                return Ok(known);
+            }
+        }
+        let silent = LinkError::Silent {
+            service: Service::Telemetry.key(),
+            waited: TIMEOUT,
+            liveness: Liveness::Unknown,
+        };
+        Err(silent.into())
+    }
+
     /// Fails when no cycle has run for a while and the daemon is gone.
     fn check_daemon(&mut self, connection: &Connection) -> anyhow::Result<()> {
-        if self.telemetry.next_within(INTERRUPT_INTERVAL)?.is_none() {
-            connection.status(TIMEOUT)?;
+        match self.telemetry.next_within(INTERRUPT_INTERVAL)? {
+            Some(record) => self.removals.see(&record),
+            None => {
+                connection.status(TIMEOUT)?;
+            }
         }
         Ok(())
     }
@@ -245,7 +267,7 @@ impl<'a> Feed<'a> {
             "obstacles: {changes} accepted{}",
             known.unwrap_or_default()
         )?;
-        if let Some(unknown) = unknown_text(&self.unknown, &[]) {
+        if let Some(unknown) = self.removals.text() {
             writeln!(std::io::stdout(), "nothing to remove: {unknown}")?;
         }
         Ok(done)
