@@ -3,14 +3,16 @@
 use cdcr_shared_types::limits::{BEND_TOLERANCE_RAD, COORDINATES_MAX, POSE_DIFFERS_RAD};
 use cdcr_shared_types::{Measurement, RobotDescription};
 
-use super::{CommandedPosition, measured_bends};
+use super::{CommandedPosition, bounds, measured_bends};
 
 type Bends = [f64; COORDINATES_MAX];
 
-/// Way of a bend component of the motors over which its distance is averaged \[rad\]. A robot that jams or presses against
-/// something stays behind by the way of its motors: its distance is far from the average then, however long it lasts.
+/// Way of the motors, in their fastest bend component, over which the distance is averaged \[rad\]. A robot that jams or presses
+/// against something stays behind by the way of its motors: its distance is far from the average then, however long it lasts.
 const WAY_RAD: f64 = 1.0;
-/// At first the distance is that of this time, also of motors at rest \[ns\].
+/// Faster motion is not counted: it leaves the robot behind by the lag of its motors \[rad/s\].
+const SLOW_RAD_S: f64 = 0.3;
+/// At first the distance is that of this time of obeying, also of motors at rest \[ns\].
 const FIRST_NS: u64 = 1_000_000_000;
 /// Time constant of the present distance, and of the first one \[s\]: a single measurement may be wrong.
 const PRESENT_S: f64 = 0.05;
@@ -29,12 +31,11 @@ struct Known {
     /// The distance while the motors moved the robot \[rad\].
     load_rad: Bends,
     present_rad: Bends,
-    /// Motors at the newest measurement while they obeyed \[rad\].
+    /// Motors at the newest measurement \[rad\].
     motors_rad: Bends,
-    first_ns: u64,
     measured_ns: u64,
-    /// The first time is over.
-    is_settled: bool,
+    /// Time in which the motors obeyed \[ns\].
+    obeyed_ns: u64,
 }
 
 impl Load {
@@ -47,7 +48,14 @@ impl Load {
         obeys: bool,
     ) {
         let bends = measured_bends::bends_rad(robot, measured);
-        let distance_rad: Bends = core::array::from_fn(|i| motors.bend_rad[i] - bends[i]);
+        let used = 2 * bounds::sections(robot).len();
+        let distance_rad: Bends = core::array::from_fn(|i| {
+            if i < used {
+                motors.bend_rad[i] - bends[i]
+            } else {
+                0.0
+            }
+        });
         if !distance_rad.iter().all(|rad| rad.is_finite()) {
             return;
         }
@@ -59,9 +67,8 @@ impl Load {
                     load_rad: distance_rad,
                     present_rad: distance_rad,
                     motors_rad: motors.bend_rad,
-                    first_ns: measured.measured_ns,
                     measured_ns: measured.measured_ns,
-                    is_settled: false,
+                    obeyed_ns: 0,
                 });
             }
             None => {}
@@ -71,8 +78,13 @@ impl Load {
     /// The robot is where this load has kept it beside its motors: nobody has moved it, and nothing holds it. Of a distance
     /// that no reset accepts by itself, nothing is known.
     pub(super) fn explains_distance(&self) -> bool {
-        let mut known = self.known.iter().flatten().peekable();
-        known.peek().is_some() && known.all(Known::explains_distance)
+        let known = || self.known.iter().flatten();
+        let newest_ns = known().map(|known| known.measured_ns).max();
+        newest_ns.is_some_and(|newest_ns| {
+            // A kind that is measured no more says nothing.
+            let mut present = known().filter(|known| newest_ns - known.measured_ns < FIRST_NS);
+            present.all(Known::explains_distance)
+        })
     }
 }
 
@@ -84,22 +96,30 @@ impl Known {
         measured_ns: u64,
         obeys: bool,
     ) {
+        // The same one again.
+        if measured_ns == self.measured_ns {
+            return;
+        }
         let passed_ns = measured_ns.saturating_sub(self.measured_ns);
-        let passed_s = (1e-9 * passed_ns as f64).min(STEP_MAX_S);
-        self.measured_ns = measured_ns;
-        self.is_settled |= obeys && measured_ns.saturating_sub(self.first_ns) >= FIRST_NS;
+        let passed_s = 1e-9 * passed_ns as f64;
+        let ways = motors.bend_rad.iter().zip(&self.motors_rad);
+        let way_rad = ways.fold(0.0_f64, |most, (now, before)| {
+            most.max((now - before).abs())
+        });
+        (self.measured_ns, self.motors_rad) = (measured_ns, motors.bend_rad);
+        let counts = obeys && way_rad <= SLOW_RAD_S * passed_s;
+        let is_first = self.obeyed_ns < FIRST_NS;
+        self.obeyed_ns += if obeys { passed_ns } else { 0 };
         for (i, distance_rad) in distance_rad.iter().enumerate() {
             let present_rad = &mut self.present_rad[i];
-            *present_rad += passed_s / PRESENT_S * (distance_rad - *present_rad);
-            if obeys && !self.is_settled {
+            *present_rad += passed_s.min(STEP_MAX_S) / PRESENT_S * (distance_rad - *present_rad);
+            if counts && is_first {
                 self.load_rad[i] = *present_rad;
-            } else if obeys {
-                let way_rad = (motors.bend_rad[i] - self.motors_rad[i]).abs();
+            } else if counts {
                 let part = (way_rad / WAY_RAD).min(1.0);
                 self.load_rad[i] += part * (distance_rad - self.load_rad[i]);
             }
         }
-        self.motors_rad = motors.bend_rad;
     }
 
     fn explains_distance(&self) -> bool {
@@ -108,6 +128,6 @@ impl Known {
             (present_rad - load_rad).abs() <= BEND_TOLERANCE_RAD
                 && present_rad.abs() <= POSE_DIFFERS_RAD
         });
-        self.is_settled && is_explained
+        self.obeyed_ns >= FIRST_NS && is_explained
     }
 }

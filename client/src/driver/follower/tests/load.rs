@@ -42,7 +42,7 @@ fn stopped(kind: MeasurementKind, bend_rad: impl Fn(f64, u64) -> f64) -> Command
             Mode::Stopped
         };
         // At rest in the first second.
-        let motors_rad = MOTORS_RAD.min(0.002 * cycle.saturating_sub(250) as f64);
+        let motors_rad = MOTORS_RAD.min(0.0014 * cycle.saturating_sub(250) as f64);
         take(&mut follower, &in_mode(mode, cycle, motors_rad)).unwrap();
         follower.tell_measured(&measured(kind, cycle, bend_rad(motors_rad, cycle)));
     }
@@ -162,6 +162,46 @@ fn motors_that_stayed_catch_up_after_a_gap() {
         (motors_rad - MOTORS_RAD + 0.05).abs() < 1e-9,
         "{motors_rad}"
     );
+}
+
+/// The sag in the plane of v grows with the bend in the plane of u, and the motors never move v.
+#[test]
+fn a_sag_across_the_motion_is_known() {
+    const LAST: u64 = 8000;
+    let mut follower = CommandFollower::new(&robot(), Interface::Position);
+    // Five times from one end of 0 to 1.2 rad to the other, and to rest there.
+    let u_rad = |cycle: u64| {
+        let ways = 7e-4 * cycle.min(7392).saturating_sub(250) as f64;
+        0.6 - 0.6 * (ways * core::f64::consts::PI).cos()
+    };
+    let sag_rad = |cycle: u64| [0.0, 0.12 * u_rad(cycle).sin()];
+    let mut take_in = |mode, cycle, bends: [f64; 2]| {
+        let mut command = in_mode(mode, cycle, bends[0]);
+        command.bend_target_rad[1] = bends[1];
+        take(&mut follower, &command).unwrap();
+        let mut measured = measured(MeasurementKind::Configuration, cycle, u_rad(cycle));
+        measured.bend_rad[1] = -sag_rad(cycle)[1];
+        follower.tell_measured(&measured);
+        follower.position_at(u64::MAX).unwrap().bend_rad[1]
+    };
+    for cycle in 1..LAST {
+        let mode = if cycle < 7600 {
+            Mode::Holding
+        } else {
+            Mode::Stopped
+        };
+        take_in(mode, cycle, [u_rad(cycle), 0.0]);
+    }
+    let mut v_rad = 0.0;
+    for cycle in LAST..LAST + 200 {
+        let part = ((cycle - LAST) as f64 / 100.0).min(1.0);
+        v_rad = take_in(
+            Mode::Holding,
+            cycle,
+            [u_rad(cycle), -part * sag_rad(cycle)[1]],
+        );
+    }
+    assert!(v_rad.abs() < 1e-12, "{v_rad}");
 }
 
 #[test]
