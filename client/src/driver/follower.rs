@@ -255,8 +255,9 @@ impl CommandFollower {
     fn stays(&self, command: &Command, now_ns: u64) -> bool {
         let is_kept = |present: &Present| {
             let stays = present.stays && !present.has_gap(now_ns);
-            let begins = rests(&present.command) && self.load.explains_distance();
-            present.is_of_sender(command) && (stays || begins)
+            // After a gap on the way, too: the robot has not moved.
+            let begins = present.stays || rests(&present.command);
+            present.is_of_sender(command) && (stays || begins && self.load.explains_distance())
         };
         self.interface == Interface::Position
             && command.mode == Mode::Holding.code()

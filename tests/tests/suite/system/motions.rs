@@ -427,8 +427,10 @@ fn a_speed_above_the_limit_of_the_tip_is_refused_with_the_limit_and_home_keeps_i
     );
     assert!(refused.contains(limit), "{refused}");
     let fast = "ref circle --radius 0.05 --rate 6 --dry-run";
-    let refused = checked(&daemon, fast, 1);
-    assert!(refused.contains(limit), "{refused}");
+    // In a stall the solver of the dry run ends early, and does not reach the limit.
+    wait_until("the refusal names the limit", || {
+        checked(&daemon, fast, 1).contains(limit)
+    });
     until_undisturbed("the tip goes to a point and home", || {
         checked_unless_stalled(&daemon, "goto 0.15,0.02,0.86 --speed 0.08")?;
         let mut telemetry = daemon.connect().telemetry().unwrap();
