@@ -192,8 +192,7 @@ fn until_printed(place: &Place, line: &str, status: i32, parts: &[&str]) {
 /// A camera that goes on measuring the tip shows that the zero was lost; nobody can accept the pose before it ends.
 #[test]
 fn a_zero_that_a_tip_sensor_contradicts_is_accepted_by_no_reset() {
-    let separate =
-        "[link]\nkind = \"driver\"\ntip_sensor = \"separate\"\n[cycle]\nmiss_limit = 1000000\n";
+    let separate = "[link]\nkind = \"driver\"\ntip_sensor = \"separate\"\nmeasurement_timeout_ms = 500.0\n[cycle]\nmiss_limit = 1000000\n";
     let daemon = Daemon::start(separate);
     let (connection, place) = (daemon.connect(), daemon.place());
     let robot = robot_of(&connection.status(TIMEOUT).unwrap().robot).unwrap();
