@@ -47,6 +47,11 @@ impl Load {
         measured: &Measurement,
         obeys: bool,
     ) {
+        let known = &mut self.known[usize::from(measured_bends::is_of_cables(measured))];
+        // A driver tells its newest one in each turn.
+        if (*known).is_some_and(|known| known.measured_ns == measured.measured_ns) {
+            return;
+        }
         let bends = measured_bends::bends_rad(robot, measured);
         let used = 2 * bounds::sections(robot).len();
         let distance_rad: Bends = core::array::from_fn(|i| {
@@ -59,7 +64,6 @@ impl Load {
         if !distance_rad.iter().all(|rad| rad.is_finite()) {
             return;
         }
-        let known = &mut self.known[usize::from(measured_bends::is_of_cables(measured))];
         match known {
             Some(known) => known.add(&distance_rad, motors, measured.measured_ns, obeys),
             None if obeys => {
@@ -96,10 +100,6 @@ impl Known {
         measured_ns: u64,
         obeys: bool,
     ) {
-        // The same one again.
-        if measured_ns == self.measured_ns {
-            return;
-        }
         let passed_ns = measured_ns.saturating_sub(self.measured_ns);
         let passed_s = 1e-9 * passed_ns as f64;
         let ways = motors.bend_rad.iter().zip(&self.motors_rad);
