@@ -71,7 +71,7 @@ pub enum CommandRefusal {
     /// The first position differs from the measured one.
     #[error(
         "the first commanded position differs from the measured one: component {at} by {way:.6}, allowed is {most:.6} \
-         (rad, or m of a cable). Check the robot, then cdcrctl reset, with --accept-pose where cdcrctl status asks for it"
+         (rad, or m of a cable). Where the three cables of a section differ alike, set their zero (docs/drivers.md, Zero). Otherwise check the robot, then cdcrctl reset, with --accept-pose where cdcrctl status asks for it"
     )]
     Elsewhere {
         /// Index of the bend component or cable, whichever was measured.

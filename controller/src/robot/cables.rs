@@ -42,11 +42,23 @@ impl Robot {
     /// unit or order of sections, or have no zero.
     pub fn section_of_foreign_cables(&self, lengths_m: &[f64; CABLES_MAX]) -> Option<usize> {
         let mut backbone_m = 0.0;
-        let mut sections = self.sections().iter().zip(common_modes_m(lengths_m));
-        sections.position(|(section, mean_m)| {
+        let mut sections = self.sections().iter().zip(self.common_errors_m(lengths_m));
+        sections.position(|(section, error_m)| {
             backbone_m += section.length_m;
-            (mean_m - backbone_m).abs() > CABLE_MEAN_TOLERANCE * backbone_m
+            error_m.abs() > CABLE_MEAN_TOLERANCE * backbone_m
         })
+    }
+
+    /// By how much the common mode of each section is above the backbone up to its end (m). The bends do not contain it.
+    pub(crate) fn common_errors_m(&self, lengths_m: &[f64; CABLES_MAX]) -> [f64; SECTIONS_MAX] {
+        let mut backbone_m = 0.0;
+        let mut errors_m = [0.0; SECTIONS_MAX];
+        let sections = self.sections().iter().zip(common_modes_m(lengths_m));
+        for (error_m, (section, mean_m)) in errors_m.iter_mut().zip(sections) {
+            backbone_m += section.length_m;
+            *error_m = mean_m - backbone_m;
+        }
+        errors_m
     }
 
     /// Speed of each cable (m/s) in the order of [`Self::cable_lengths`]; positive when the cable is paid out. 3n are

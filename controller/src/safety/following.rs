@@ -24,7 +24,8 @@ pub struct FollowingRules {
 pub struct FollowingError {
     /// By section \[rad\].
     pub bend_rad: [f64; SECTIONS_MAX],
-    /// By cable \[m\]: positive where it is longer than commanded.
+    /// By cable \[m\]: positive where it is longer than commanded. Where lengths are measured and positions obeyed, also by what the three
+    /// cables of a section differ by together, which is no error of a bend.
     pub cable_m: [f64; CABLES_MAX],
 }
 
@@ -207,6 +208,17 @@ impl FollowingWatch {
             });
         }
         &self.error
+    }
+
+    /// The lengths of the measurement evaluated last. Motors that obey positions take up a common mode that differs from the commanded
+    /// one: it is part of the cables' errors.
+    pub fn measured_lengths(&mut self, robot: &Robot, lengths_m: &[f64; CABLES_MAX]) {
+        if self.obeys_positions {
+            let (sections, _) = self.error.cable_m.as_chunks_mut::<3>();
+            for (cables_m, common_m) in sections.iter_mut().zip(robot.common_errors_m(lengths_m)) {
+                *cables_m = cables_m.map(|error_m| error_m + common_m);
+            }
+        }
     }
 
     /// A measurement without bends, to which the last error does not apply.

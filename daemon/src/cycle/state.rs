@@ -230,6 +230,9 @@ impl RobotState {
         }
         if let Some(measured) = &self.measured {
             self.following.measured(&self.robot, measured);
+            if let Measurement::CableLengths(lengths_m) = &measurement {
+                self.following.measured_lengths(&self.robot, lengths_m);
+            }
             self.bend_limit.measured(measured, measured_ns);
         } else {
             self.following.unmeasured();

@@ -1,3 +1,7 @@
+mod following;
+
+pub(crate) use following::following_error_rad;
+
 use std::fmt::Write as _;
 use std::io::{IsTerminal as _, Write as _};
 use std::thread;
@@ -8,9 +12,7 @@ use cdcr_client::{
     Connection, PoseDifference, counted, monotonic_ns, realtime_missing, reason_remedy, text,
 };
 use cdcr_controller::safety::FarthestBend;
-use cdcr_shared_types::codes::{
-    Interface, LateCause, Mode, Outcome, Reason, RobotLink, SolverKind, TipCause,
-};
+use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason, RobotLink, SolverKind, TipCause};
 use cdcr_shared_types::message::{Field, Struct};
 use cdcr_shared_types::{LatencySummary, Statistics, Status};
 use serde_json::{Value, json};
@@ -207,13 +209,6 @@ pub(crate) fn tip_distance(status: &Status) -> String {
     format!(": {:.0} mm away", 1e3 * status.tip_contradiction_m)
 }
 
-/// The largest following error of a section (rad).
-pub(crate) fn following_error_rad(status: &Status) -> f64 {
-    let sections = (status.robot.sections as usize).min(status.following_error_rad.len());
-    let errors_rad = status.following_error_rad[..sections].iter();
-    errors_rad.copied().fold(0.0, f64::max)
-}
-
 /// Tip position, error to the reference, and following error.
 fn place(out: &mut String, status: &Status) -> std::fmt::Result {
     let [x, y, z] = status.tip_position_m.map(|m| 1e3 * m);
@@ -241,18 +236,7 @@ fn place(out: &mut String, status: &Status) -> std::fmt::Result {
     if let Some(refused) = refused_text(status) {
         write!(out, "\n            {refused}")?;
     }
-    let largest_rad = following_error_rad(status);
-    let largest_m = status
-        .following_error_m
-        .iter()
-        .fold(0.0_f64, |most, m| most.max(m.abs()));
-    writeln!(
-        out,
-        "\nfollowing   {} interface, error {largest_rad:.4} rad, {:.2} mm of cable ({} cycles above the warning)",
-        Interface::text_of(status.interface),
-        1e3 * largest_m,
-        status.following_warnings
-    )
+    following::write(out, status)
 }
 
 /// A tip sensor that was started before the driver is probably taken for it.

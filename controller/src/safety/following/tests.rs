@@ -190,6 +190,12 @@ fn the_error_of_the_cables_has_their_sign() {
         assert!((error.cable_m[cable] - longer_m).abs() < 1e-15);
     }
     assert!((error.bend_rad[0] - 0.2_f64.hypot(0.1)).abs() < 1e-15);
+    watch.measured_lengths(&robot, &lengths.map(|length_m| length_m + 1e-3));
+    for cable in 0..3 {
+        let longer_m = lengths[cable] + 1e-3 - straight[cable];
+        assert!((watch.error().cable_m[cable] - longer_m).abs() < 1e-15);
+    }
+    assert!((watch.error().bend_rad[0] - 0.2_f64.hypot(0.1)).abs() < 1e-15);
     watch.begin(measured);
     assert_eq!(
         *watch.measured(&robot, &measured),

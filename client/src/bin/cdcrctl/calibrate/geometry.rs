@@ -251,6 +251,31 @@ mod tests {
     }
 
     #[test]
+    fn counts_that_were_zeroed_with_the_configured_lengths_are_told_the_change() {
+        let (robot, mut recording) = rows(0.0, 0.0, 0.35);
+        let text = |recording: &CalibrationRows| {
+            let found = calibrate(&robot, &recording.rows, &[]).expect("a calibration");
+            report::text(Path::new("rows.csv"), &robot, recording, &found).expect("text")
+        };
+        let change = "# For the driver: these three cables were recorded with 0.";
+        assert!(!text(&recording).contains(change));
+        for row in &mut recording.rows {
+            // The sections are 9 mm longer and 10.5 mm shorter than configured.
+            for (length_m, longer_m) in row.cable_length_m.chunks_mut(3).zip([9e-3, -1.5e-3]) {
+                length_m
+                    .iter_mut()
+                    .for_each(|length_m| *length_m -= longer_m);
+            }
+        }
+        let text = text(&recording);
+        let mut changes = text.lines().filter_map(|line| line.strip_prefix(change));
+        for (recorded, more) in [("300", "or subtract -0.00"), ("600", "or subtract 0.00")] {
+            let line = changes.next().expect("a line for each section");
+            assert!(line.starts_with(recorded) && line.contains(more), "{line}");
+        }
+    }
+
+    #[test]
     fn what_a_wrong_model_does_not_determine_is_not_offered_with_held_values_either() {
         let refused = |droop_rad, friction_rad, amplitude_rad, hold: &[ParameterGroup]| {
             let (robot, recording) = rows(droop_rad, friction_rad, amplitude_rad);

@@ -215,7 +215,8 @@ impl Sensor {
     }
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+/// Of at least one value.
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

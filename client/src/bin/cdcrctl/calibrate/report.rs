@@ -11,7 +11,11 @@ use cdcr_controller::robot::{RobotParameters, SectionParameters};
 use serde_json::{Value, json};
 
 use super::advice::{self, CORRELATED};
+use super::noise::median;
 use super::recording::CalibrationRows;
+
+/// Smallest error of a section's mean cable length that the result mentions \[m\].
+const COMMON_ERROR_M: f64 = 5e-4;
 
 /// Text, with the configuration at the end.
 pub(super) fn text(
@@ -96,7 +100,7 @@ pub(super) fn text(
             advice::text(robot, recording, found.correlation)
         )?;
     }
-    write!(out, "\n{}", fragment(robot, found)?)?;
+    write!(out, "\n{}", fragment(robot, recording, found)?)?;
     Ok(out)
 }
 
@@ -175,7 +179,12 @@ fn evaluation(out: &mut String, found: &Calibration) -> Result<(), Error> {
 }
 
 /// The sections for a configuration, with the old values as comments.
-fn fragment(robot: &RobotParameters, found: &Calibration) -> Result<String, Error> {
+fn fragment(
+    robot: &RobotParameters,
+    recording: &CalibrationRows,
+    found: &Calibration,
+) -> Result<String, Error> {
+    let mut straight_m = 0.0;
     let mut out = String::from("# Replaces all [[robot.sections]] of the configuration:\n");
     let configured = Geometry::configured(robot);
     for (j, new) in found.geometry.robot.sections.iter().enumerate() {
@@ -214,6 +223,16 @@ fn fragment(robot: &RobotParameters, found: &Calibration) -> Result<String, Erro
                 zeros.join(", ")
             )?;
         }
+        straight_m += new.length_m;
+        let common_m = median_common_mode_m(recording, j);
+        if (common_m - straight_m).abs() > COMMON_ERROR_M {
+            writeln!(
+                out,
+                "# For the driver: these three cables were recorded with {common_m:.6} m in the mean, and have {straight_m:.6} m with the lengths found. \
+                 Set their zero again when the robot is straight, or subtract {:.6} more from each measured length and add it to each commanded one [m]",
+                common_m - straight_m
+            )?;
+        }
     }
     let pose = |pose: &nalgebra::Isometry3<f64>| {
         let [x, y, z] = pose.translation.vector.into();
@@ -243,6 +262,14 @@ fn fragment(robot: &RobotParameters, found: &Calibration) -> Result<String, Erro
         )?;
     }
     Ok(out)
+}
+
+/// Mean length of the three cables of a section, the median of all rows \[m\]. No bend changes it.
+fn median_common_mode_m(recording: &CalibrationRows, section: usize) -> f64 {
+    let cables = 3 * section..3 * section + 3;
+    let rows = recording.rows.iter();
+    let means_m = rows.map(|row| row.cable_length_m[cables.clone()].iter().sum::<f64>() / 3.0);
+    median(means_m.collect())
 }
 
 pub(super) fn json(
@@ -295,6 +322,6 @@ pub(super) fn json(
         "outliers": found.outliers,
         "outliers_held_out": found.outliers_held_out,
         "correlation": found.correlation,
-        "toml": fragment(robot, found).unwrap_or_default(),
+        "toml": fragment(robot, recording, found).unwrap_or_default(),
     })
 }

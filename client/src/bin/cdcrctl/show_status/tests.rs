@@ -1,5 +1,5 @@
 use super::*;
-use cdcr_shared_types::codes::realtime;
+use cdcr_shared_types::codes::{Interface, realtime};
 
 #[test]
 fn the_table_shows_the_essential_values() {
@@ -171,6 +171,30 @@ fn a_pose_that_a_reset_has_to_accept_is_shown_with_section_and_distance() {
     let cause = Reason::TipElsewhere.text();
     let start = format!("reset       is refused now: {cause}");
     assert_eq!(line(&status), format!("{start}: 123 mm away"));
+}
+
+#[test]
+fn an_error_of_a_sections_three_cables_is_named_where_a_driver_refuses_it() {
+    let mut status = Status::default();
+    status.robot.sections = 2;
+    status.robot.section[0].cable_radius_m = 0.0125;
+    status.robot.section[1].cable_radius_m = 0.0125;
+    // Strokes of a bend cancel, and 1.2 mm are within the tolerance of the second section.
+    status.following_error_m[..6].copy_from_slice(&[3e-3, -2e-3, 0.7e-3, 1.2e-3, 1.2e-3, 1.2e-3]);
+    let named = |status: &Status| {
+        let table = table(status, None, 0).expect("formatted");
+        let mut lines = table.lines();
+        lines
+            .find(|line| line.contains("the three cables of section"))
+            .map(str::to_owned)
+    };
+    assert_eq!(named(&status), None);
+    status.following_error_m[3..6].fill(-2e-3);
+    let line = named(&status).expect("a line");
+    assert!(
+        line.contains("section 2 are measured 2.0 mm shorter"),
+        "{line}"
+    );
 }
 
 #[test]
