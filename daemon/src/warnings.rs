@@ -1,7 +1,8 @@
 //! Valid configurations that are probably unintended.
 
 use cdcr_controller::nmpc::{
-    RateWeight, budget_warning, rate_weight_warning, safe_distance_warning,
+    RateWeight, budget_warning, rate_change_weight_warning, rate_weight_warning,
+    safe_distance_warning,
 };
 use cdcr_controller::robot::SectionParameters;
 
@@ -68,6 +69,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
             "link.tip_sensor = \"separate\" has no effect: the simulated robot accepts no measurements";
     }
     all.extend(of_rate_weight(config));
+    all.extend(of_rate_change_weight(config));
     home_speed(config, &mut all);
     source_timeout(config, &mut all);
     warn_where! { all:
@@ -292,6 +294,20 @@ fn of_rate_weight(config: &Config) -> Option<String> {
     Some(format!(
         "controller.{warning}; set \"auto\", or remove the key"
     ))
+}
+
+fn of_rate_change_weight(config: &Config) -> Option<String> {
+    let rate_weight = match config.controller.rate_weight {
+        RateWeight::Auto => RateWeight::auto(config.link.is_ideal()),
+        weight => weight,
+    };
+    let warning = rate_change_weight_warning(
+        rate_weight.into(),
+        config.controller.rate_change_weight,
+        1e-3 * config.cycle.period_ms,
+        config.robot.sections.len(),
+    )?;
+    Some(format!("controller.{warning}"))
 }
 
 /// A probably unintended timeout of the obstacle sources.

@@ -51,7 +51,9 @@ pub use horizon::Horizon;
 pub use pose_error::PREFERRED_LEVER_SHARE;
 pub use report::{Constraint, SolveReport, SolveStatus};
 pub use settings::{Coordinates, NmpcSettings, RateWeight, SettingsError, SolverKind, ranges};
-pub use unintended::{budget_warning, rate_weight_warning, safe_distance_warning};
+pub use unintended::{
+    budget_warning, rate_change_weight_warning, rate_weight_warning, safe_distance_warning,
+};
 
 use crate::optimizer::{Budget, Simd};
 use crate::reference::ReferenceSample;

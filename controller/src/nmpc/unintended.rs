@@ -23,6 +23,37 @@ pub fn budget_warning(budget_ms: f64) -> Option<String> {
     })
 }
 
+/// Time constant of rates that move the body and not the tip (s): from period to period the plan changes them by the share at which their
+/// cost is least.
+fn rates_last_s(rate_weight: f64, rate_change_weight: f64, period_s: f64) -> f64 {
+    period_s * rate_change_weight / rate_weight
+}
+
+/// Longest time constant of such rates without a warning (s).
+const RATES_LAST_MAX_S: f64 = 5.0;
+
+/// Warning about a weight on changes of the rates beside this weight of the rates.
+pub fn rate_change_weight_warning(
+    rate_weight: f64,
+    rate_change_weight: f64,
+    period_s: f64,
+    sections: usize,
+) -> Option<String> {
+    let last_s = rates_last_s(rate_weight, rate_change_weight, period_s);
+    (rate_change_weight > 0.0 && sections > 1 && last_s > RATES_LAST_MAX_S).then(|| {
+        let ends = period_s * rate_change_weight;
+        format!(
+            "rate_change_weight = {rate_change_weight:e} beside a rate_weight of {rate_weight:e}: the body goes on moving while the tip rests, \
+             {}; a rate_weight of {ends:.0e} ends this in about 1 s",
+            if last_s.is_finite() {
+                format!("for about {last_s:.0} s")
+            } else {
+                "for ever".to_owned()
+            }
+        )
+    })
+}
+
 /// Warning about this rate weight of a robot with so many sections; `is_ideal`: the robot equals its model.
 pub fn rate_weight_warning(rate_weight: f64, sections: usize, is_ideal: bool) -> Option<String> {
     (rate_weight == 0.0 && sections > 1 && !is_ideal)

@@ -5,6 +5,7 @@ use cdcr_controller::closed_loop::{ClosedLoop, Driven, FigureEight, FigureEightR
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, RateWeight};
 use cdcr_controller::plant::Flaws;
+use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
 
@@ -398,7 +399,7 @@ fn a_robot_with_play_stays_where_it_is_sent() {
 #[test]
 fn the_weights_of_the_tuning_smooth_make_a_robot_with_play_swing() {
     let settings = NmpcSettings {
-        rate_weight: RateWeight::MEASURED,
+        rate_weight: RateWeight::Of(1e-7),
         rate_change_weight: 1e-5,
         ..NmpcSettings::default()
     };
@@ -420,4 +421,45 @@ fn the_weights_of_the_tuning_smooth_make_a_robot_with_play_swing() {
         println!("known as {known_m} m, lag {lag_s} s: {mm} mm");
         assert!((1.3..4.8).contains(&mm), "{known_m} m, {lag_s} s: {mm} mm");
     }
+}
+
+/// The statements in docs/tuning.md about `rate_change_weight`: rates that do not move the tip last for ever with a small
+/// weight of the rates, and end with that of `--tuning smooth`.
+#[test]
+fn the_body_rests_where_the_tip_rests() {
+    let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
+    let reference = |time_s: f64| {
+        let share = (0.25 * time_s).min(1.0);
+        let along = share * share * (3.0 - 2.0 * share);
+        ReferenceSample::at_position(Vector3::new(0.15, 0.1, -0.12) * along + Vector3::z() * 0.9)
+    };
+    let mut driven = lagging(actuator(0.0, 0.02), true);
+    driven.flaws.noise_m = 3e-5;
+    driven.time_constant_s = 0.3;
+    // Distance by which the end of the second section moves while the reference rests.
+    let moved_mm = |rate_weight| {
+        let settings = NmpcSettings {
+            rate_weight: RateWeight::Of(rate_weight),
+            rate_change_weight: 1e-5,
+            ..NmpcSettings::default()
+        };
+        let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
+        let straight = Configuration::straight(3);
+        let closed = ClosedLoop::new(&robot, PERIOD_S, settings, straight, &[], reference);
+        let mut closed = closed
+            .unwrap()
+            .with_acceleration(5.0)
+            .with_driven(driven)
+            .unwrap();
+        let mut ends_m = [6.0, 20.0].map(|until_s| {
+            while closed.time_s() < until_s {
+                closed.step(&mut nmpc);
+            }
+            robot.section_frames(closed.configuration())[2].position_m
+        });
+        1e3 * (ends_m[1] - ends_m[0]).norm()
+    };
+    let (little, smooth) = (moved_mm(1e-10), moved_mm(1e-7));
+    println!("the end of section 2 moves by {little} mm, with the weight of smooth by {smooth} mm");
+    assert!(smooth < 1.0 && little > 30.0, "{smooth} {little}");
 }

@@ -15,14 +15,15 @@ pub(super) enum TuningPreset {
 impl TuningPreset {
     /// Keys and values.
     pub(super) fn keys(self) -> [(&'static str, f64); 3] {
-        let (rate_change_weight, time_constant_ms) = match self {
-            Self::Precise => (0.0, 300.0),
-            Self::Smooth => (1e-5, 300.0),
-            Self::Fast => (0.0, 60.0),
+        let measured = f64::from(RateWeight::MEASURED);
+        let (rate_weight, rate_change_weight, time_constant_ms) = match self {
+            Self::Precise => (measured, 0.0, 300.0),
+            // The weight of the rates ends those that do not move the tip: in half a second at 5 ms (`rates_last_s`).
+            Self::Smooth => (1e-7, 1e-5, 300.0),
+            Self::Fast => (measured, 0.0, 60.0),
         };
         [
-            // With a rate change weight alone, rates that do not move the tip never decay.
-            ("controller.rate_weight", RateWeight::MEASURED.into()),
+            ("controller.rate_weight", rate_weight),
             ("controller.rate_change_weight", rate_change_weight),
             ("estimator.time_constant_ms", time_constant_ms),
         ]
@@ -56,7 +57,7 @@ mod tests {
     fn a_tuning_is_shown_as_the_documents_write_it() {
         let shown = settings(&["--tuning", "smooth"]).changed();
         let of = |key| &shown.iter().find(|(name, ..)| *name == key).unwrap().1;
-        assert_eq!(of("controller.rate_weight"), "1e-10");
+        assert_eq!(of("controller.rate_weight"), "1e-7");
         assert_eq!(of("controller.rate_change_weight"), "1e-5");
         assert_eq!(of("estimator.time_constant_ms"), "300.0");
     }

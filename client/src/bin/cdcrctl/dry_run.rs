@@ -12,6 +12,7 @@ mod joining;
 mod sent;
 mod slowed;
 mod too_fast;
+mod unrepeated;
 
 use std::fmt;
 use std::io::Write;
@@ -36,6 +37,7 @@ use joining::joining;
 use sent::{PositionsOf, check_duration, points};
 use slowed::Slowed;
 pub(crate) use too_fast::check_speed;
+use unrepeated::Unrepeated;
 
 /// Maximum duration of the move to the first point \[s\].
 const MOVE_MAX_S: f64 = 30.0;
@@ -76,6 +78,7 @@ pub(crate) struct Demands {
     stroke_max_m: f64,
     safe_distance_m: f64,
     has_orientation: bool,
+    unrepeated: Option<Unrepeated>,
     /// The reference does not begin where the tip is, and nothing brings the tip there before: `--track` would join it.
     pub(crate) may_join: bool,
 }
@@ -213,6 +216,8 @@ pub(crate) fn simulate(
         }
         bar.show_share(cycle as f64 / cycles);
     }
+    let shapes = [&there, path.configuration()];
+    demands.unrepeated = Unrepeated::after(trajectory, &robot, shapes);
     Ok(demands)
 }
 
@@ -285,6 +290,7 @@ impl Demands {
             stroke_max_m: robot.cable_stroke_max_m(),
             safe_distance_m: settings.safe_distance_m,
             has_orientation: false,
+            unrepeated: None,
             may_join: false,
         }
     }
@@ -443,6 +449,9 @@ impl fmt::Display for Demands {
             &format!("mean {mean:.3}, max {max:.3}, final {end:.3} mm"),
             "",
         )?;
+        if let Some(unrepeated) = self.unrepeated {
+            writeln!(f, "  note: {unrepeated}")?;
+        }
         if let Some(near) = along.bend_share.warning() {
             writeln!(f, "  warning: {near}")?;
         }

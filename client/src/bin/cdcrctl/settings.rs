@@ -9,7 +9,9 @@ use std::time::{Duration, Instant};
 use anyhow::{bail, ensure};
 use cdcr_client::model::{broken_bound, moves_away};
 use cdcr_client::{Connection, LinkError, RequestError, STATUS_TIMEOUT, section_lengths_m};
-use cdcr_controller::nmpc::{budget_warning, rate_weight_warning, safe_distance_warning};
+use cdcr_controller::nmpc::{
+    budget_warning, rate_change_weight_warning, rate_weight_warning, safe_distance_warning,
+};
 use cdcr_shared_types::codes::Outcome;
 use cdcr_shared_types::{SolverSettings, Status, Telemetry};
 use serde_json::Value;
@@ -67,10 +69,17 @@ fn unintended(of: &[Setting], settings: SolverSettings, status: &Status) -> Vec<
     let distance = safe_distance_warning(settings.safe_distance_m, lengths_m.iter().sum());
     let weight = rate_weight_warning(settings.rate_weight, sections, auto == 0.0);
     let weight = weight.map(|warning| format!("{warning}; without the key it is {auto}"));
+    let change = rate_change_weight_warning(
+        settings.rate_weight,
+        settings.rate_change_weight,
+        status.period_ns as f64 / 1e9,
+        sections,
+    );
     let budget = budget_warning(settings.budget_ns as f64 / 1e6);
     let all = [
         ("safe_distance_m", distance),
         ("rate_weight", weight),
+        ("rate_change_weight", change),
         ("budget_ms", budget),
     ];
     all.into_iter()

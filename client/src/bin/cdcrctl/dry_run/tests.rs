@@ -183,6 +183,40 @@ fn a_tip_that_joins_a_moving_reference_is_not_called_too_slow_for_it() {
     assert!(text.contains("too fast: at "), "{text}");
 }
 
+/// The statement in docs/tuning.md, A repeated path.
+#[test]
+fn a_body_that_does_not_repeat_a_path_is_reported() {
+    let mut record = two_sections();
+    record.robot = robot(3);
+    let note = |rounds| {
+        let circle = Circle {
+            radius_m: 0.1,
+            height_m: 0.75,
+            rate_rad_s: 2.0,
+            duration_s: std::f64::consts::PI,
+        };
+        let circle = Changed::new(Box::new(circle), 1.0, 1.0, FigurePlane::Xy, rounds);
+        let (settings, options) = (NmpcSettings::default(), FeedOptions::default());
+        let demands = simulate(&record, settings, &circle, &options).unwrap();
+        println!("{demands}");
+        (demands.to_string().lines().map(str::trim)).find_map(|line| {
+            let (section, moved) = line
+                .strip_prefix("note: the path ends where it begins, and the end of section ")?
+                .split_once(" then is ")?;
+            Some((
+                section.to_owned(),
+                moved.split_once(" mm ")?.0.parse::<f64>().ok()?,
+            ))
+        })
+    };
+    assert_eq!(note(1), None);
+    let (section, moved_mm) = note(20).expect("a note");
+    assert!(
+        section == "2" && (20.0..150.0).contains(&moved_mm),
+        "{section} {moved_mm}"
+    );
+}
+
 #[test]
 fn rows_seconds_apart_are_asked_about() {
     let error = |rows: &str| {

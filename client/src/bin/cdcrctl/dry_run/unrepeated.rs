@@ -1,0 +1,55 @@
+//! A body that a closed path of the tip leaves in another place.
+
+use std::fmt;
+
+use cdcr_client::Trajectory;
+use cdcr_controller::robot::{Configuration, Robot};
+use nalgebra::Vector3;
+
+/// A path whose end is this near to its beginning is closed \[m\].
+const CLOSED_M: f64 = 1e-3;
+/// Smallest motion of the body that is reported \[m\].
+const MOVED_M: f64 = 0.01;
+
+/// The end of a section that is not where it was when the tip was last here.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Unrepeated {
+    /// From 1 at the base.
+    section: usize,
+    moved_m: f64,
+}
+
+impl Unrepeated {
+    /// From the shapes at the beginning and the end of a trajectory. None: it is not closed, or the body hardly moved.
+    pub(super) fn after(
+        trajectory: &dyn Trajectory,
+        robot: &Robot,
+        shapes: [&Configuration; 2],
+    ) -> Option<Self> {
+        let ends_m =
+            [0.0, trajectory.duration_s()].map(|s| Vector3::from(trajectory.position_m(s)));
+        if (ends_m[0] - ends_m[1]).norm() > CLOSED_M {
+            return None;
+        }
+        let frames = shapes.map(|shape| robot.section_frames(shape));
+        let moved = |section| Self {
+            section,
+            moved_m: (frames[0][section].position_m - frames[1][section].position_m).norm(),
+        };
+        let sections = (1..robot.section_count()).map(moved);
+        let most = sections.max_by(|a, b| a.moved_m.total_cmp(&b.moved_m))?;
+        (most.moved_m > MOVED_M).then_some(most)
+    }
+}
+
+impl fmt::Display for Unrepeated {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "the path ends where it begins, and the end of section {} then is {:.0} mm from where it was: the body does not repeat what the tip repeats \
+             (docs/tuning.md)",
+            self.section,
+            1e3 * self.moved_m
+        )
+    }
+}
