@@ -1,96 +1,23 @@
-//! Conversion of robot, obstacles and settings in messages to the types of `cdcr_controller`.
+//! Robot, obstacles and settings in messages as types of `cdcr_controller`, and what follows from them.
 
-use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
-use cdcr_controller::optimizer::VelocityRule;
+use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::reference;
-use cdcr_controller::robot::{
-    Obstacle, Robot, RobotError, RobotParameters, SectionParameters, Shape,
-};
-use cdcr_shared_types::codes::{self, ObstacleShape, OrientationKind, UnknownCode};
-use cdcr_shared_types::{
-    ReferenceChunk, ReferencePoint, RobotDescription, SectionDescription, SolverSettings, Status,
-};
-use nalgebra::{Quaternion, Unit, UnitQuaternion};
+use cdcr_shared_types::codes::{Interpolation, OrientationKind};
+pub use cdcr_shared_types::model::{obstacle_of, robot_of, settings_of};
+use cdcr_shared_types::{ReferenceChunk, ReferencePoint, SolverSettings, Status, model};
 
 use crate::Orientation;
 
-/// The robot of a description.
-///
-/// # Errors
-/// When the description is invalid; a daemon publishes only valid ones.
-pub fn robot_of(description: &RobotDescription) -> Result<Robot, RobotError> {
-    let section = |section: &SectionDescription| SectionParameters {
-        length_m: section.length_m,
-        cable_radius_m: section.cable_radius_m,
-        cable_offset_rad: section.cable_offset_rad,
-        bend_max_rad: section.bend_max_rad,
-        rate_max_rad_s: section.rate_max_rad_s,
-        body_radius_m: section.body_radius_m,
-    };
-    let sections = description.section.iter();
-    let used = sections.take(description.sections as usize);
-    Robot::new(&RobotParameters {
-        sections: used.map(section).collect(),
-        cable_speed_max_m_s: description.cable_speed_max_m_s,
-        cable_stroke_max_m: description.cable_stroke_max_m,
-        tip_speed_max_m_s: description.tip_speed_max_m_s,
-    })
-}
-
-/// An obstacle of a record, at its position at the release. `None` for an obstacle that a daemon would
-/// refuse.
-pub fn obstacle_of(obstacle: &cdcr_shared_types::Obstacle) -> Option<Obstacle> {
-    let shape = match ObstacleShape::try_from(obstacle.shape).ok()? {
-        ObstacleShape::Sphere => Shape::Sphere {
-            centre_m: obstacle.start_m.into(),
-        },
-        ObstacleShape::Capsule => Shape::Capsule {
-            start_m: obstacle.start_m.into(),
-            end_m: obstacle.end_m.into(),
-        },
-    };
-    Obstacle::new(shape, obstacle.radius_m, obstacle.velocity_m_s.into()).ok()
-}
-
-/// The solver settings without the budget. Each field has the same name on both sides, and a missing one does
-/// not compile.
-///
-/// # Errors
-/// When a code is unknown; no daemon publishes such settings.
-pub fn settings_of(settings: &SolverSettings) -> Result<NmpcSettings, UnknownCode> {
-    macro_rules! same_names {
-        ({ $($choice:ident: $type:ident { $($variant:ident),+ },)+ } $($number:ident),+ $(,)?) => {{
-            let SolverSettings { $($choice,)+ $($number,)+ budget_ns: _, reserved: _ } = *settings;
-            NmpcSettings {
-                $($choice: match codes::$type::try_from($choice)? {
-                    $(codes::$type::$variant => $type::$variant,)+
-                },)+
-                $($number: $number.into(),)+
-            }
-        }};
-    }
-    Ok(cdcr_shared_types::solver_settings!(same_names))
-}
-
 /// The points of an accepted reference chunk. `None` for a chunk that no daemon accepts.
 pub fn reference_points(chunk: &ReferenceChunk) -> Option<Vec<reference::ReferencePoint>> {
-    let interpolation = match codes::Interpolation::try_from(chunk.interpolation).ok()? {
-        codes::Interpolation::Linear => reference::Interpolation::Linear,
-        codes::Interpolation::Cubic => reference::Interpolation::Cubic,
-    };
+    let interpolation = Interpolation::try_from(chunk.interpolation).ok()?.into();
     let used = chunk.points.get(..chunk.count as usize)?;
     let point = |point: &ReferencePoint| {
-        let [x, y, z, _] = point.orientation;
-        let orientation = match OrientationKind::try_from(point.orientation_kind).ok()? {
-            OrientationKind::None => Orientation::Free,
-            OrientationKind::Axis => Orientation::Axis([x, y, z]),
-            OrientationKind::Preferred => Orientation::Preferred([x, y, z]),
-            OrientationKind::Full => Orientation::Full(point.orientation),
-        };
+        let kind = OrientationKind::try_from(point.orientation_kind).ok()?;
         Some(reference::ReferencePoint {
             time_ns: point.time_ns,
             position_m: point.position_m.into(),
-            orientation: orientation_of(orientation),
+            orientation: model::orientation_of(kind, point.orientation),
             interpolation,
         })
     };
@@ -99,18 +26,10 @@ pub fn reference_points(chunk: &ReferenceChunk) -> Option<Vec<reference::Referen
 
 /// Converts the orientation of a trajectory.
 pub fn orientation_of(orientation: Orientation) -> reference::Orientation {
-    match orientation {
-        Orientation::Free => reference::Orientation::Free,
-        Orientation::Axis(axis) => reference::Orientation::Axis(Unit::new_normalize(axis.into())),
-        Orientation::Preferred(axis) => {
-            reference::Orientation::Preferred(Unit::new_normalize(axis.into()))
-        }
-        Orientation::Full([x, y, z, w]) => {
-            let rotation = Quaternion::new(w, x, y, z);
-            reference::Orientation::Full(UnitQuaternion::from_quaternion(rotation))
-        }
-    }
+    let (kind, numbers) = orientation.to_wire();
+    model::orientation_of(kind, numbers)
 }
+
 /// The bound that refused settings break, beyond the ranges of the single ones: of the daemon's configuration, or of another
 /// setting.
 pub fn broken_bound(wanted: &SolverSettings, status: &Status) -> Option<String> {

@@ -16,7 +16,6 @@ use signal_hook::consts::{SIGHUP, SIGUSR1};
 
 use crate::caretaker::Caretaker;
 use crate::config::{REST_MAX_S, Validated};
-use crate::convert;
 use crate::core_budget::KERNEL_SHARE;
 use crate::cycle::Cycle;
 use crate::exchange::Exchange;
@@ -455,7 +454,7 @@ fn keep_latched(latch: Latch, before: Mode, now: Mode) {
         Reason::Shutdown | Reason::StoppedBefore | Reason::ObstaclesLost
     );
     if now.is_latched() && now != before && !is_of_itself {
-        latch.set(convert::mode(now), convert::reason(now.reason()));
+        latch.set(now.into(), now.reason().into());
         return;
     }
     // A latch found at the start may be reset within the first cycle with a measurement.

@@ -24,6 +24,7 @@ use cdcr_controller::robot::Robot;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{LateCause, Mode};
 use cdcr_shared_types::ipc;
+use cdcr_shared_types::model::guard_flags;
 use iceoryx2::port::publisher::Publisher;
 
 use crate::config::{LinkKind, Validated, ns};
@@ -120,7 +121,7 @@ impl Reporter {
             let assignment = self.attribution.evaluate(&evaluated, scheduler_delta);
             let scheduling =
                 convert::scheduling(scheduler_delta, record.longest_gap_ns, assignment.cause());
-            let mode = convert::mode(record.mode);
+            let mode = Mode::from(record.mode);
             let begins_fault = mode == Mode::Faulted && self.last_mode != Mode::Faulted;
             self.last_mode = mode;
             if mode != Mode::Faulted {
@@ -216,10 +217,10 @@ impl Reporter {
             misses_tolerated: record.policy.tolerates(record.miss_bucket),
             totals: record.totals,
             mode: self.last_mode,
-            reason: convert::reason(record.mode.reason()),
+            reason: record.mode.reason().into(),
             reset_refused_by: (record.seen.reset_refused_by())
                 .filter(|_| record.mode.is_latched())
-                .map(convert::reason),
+                .map(Into::into),
             faults: record.faults,
             settings: convert::settings_to_wire(&record.settings),
             safe_distance_min_m: inputs.safe_distance_min_m,
@@ -260,7 +261,9 @@ impl Reporter {
         wire::Statistics {
             budget_hits: u64::from(record.report.budget_spent),
             stale_inputs: u64::from(record.stale_inputs),
-            limited_cycles: u64::from(has_solved && convert::guard_flags(record) != 0),
+            limited_cycles: u64::from(
+                has_solved && guard_flags(&record.limits_hit, record.clearance_hit) != 0,
+            ),
             tracked_cycles: u64::from(error_m.is_some()),
             tip_error_sum_nm: error_nm,
             tip_error_max_nm: error_nm,

@@ -11,7 +11,7 @@ use cdcr_client::{
     monotonic_ns, remedy,
 };
 use cdcr_shared_types::codes::{
-    ChunkMode, EventKind, Interpolation, Mode, OrientationKind, Outcome, Reason, RequestKind,
+    ChunkMode, EventKind, Interpolation, Mode, Outcome, Reason, RequestKind,
 };
 use cdcr_shared_types::limits::CHUNK_POINTS_MAX;
 use cdcr_shared_types::{InputEvent, ReferencePoint, Telemetry};
@@ -219,12 +219,7 @@ fn points(
         .zip(positions.values().chunks_exact(3))
         .zip(orientations);
     let point = |((time_s, place), orientation): ((&f64, &[f64]), Orientation)| {
-        let (kind, orientation) = match orientation {
-            Orientation::Full(quaternion) => (OrientationKind::Full, quaternion),
-            Orientation::Free | Orientation::Axis(_) | Orientation::Preferred(_) => {
-                (OrientationKind::None, [0.0; 4])
-            }
-        };
+        let (kind, orientation) = orientation.to_wire();
         ReferencePoint {
             time_ns: start_ns + (time_s * 1e9).round() as u64,
             position_m: [place[0], place[1], place[2]],

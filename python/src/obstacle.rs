@@ -1,6 +1,5 @@
 use cdcr_controller::nmpc::OBSTACLES_MAX;
 use cdcr_controller::robot::{self, Shape};
-use cdcr_shared_types::codes::ObstacleShape;
 use pyo3::prelude::*;
 
 use crate::arrays::{ArrayLike, Doubles, triple};
@@ -125,19 +124,7 @@ impl Obstacle {
 
     /// Fields of the message, without number, time and lifetime.
     pub(crate) fn to_wire(self) -> cdcr_shared_types::Obstacle {
-        let [start_m, end_m] = self.axis();
-        let shape = match self.inner.shape() {
-            Shape::Sphere { .. } => ObstacleShape::Sphere,
-            Shape::Capsule { .. } => ObstacleShape::Capsule,
-        };
-        cdcr_shared_types::Obstacle {
-            shape: shape.code(),
-            start_m,
-            end_m,
-            radius_m: self.inner.radius_m(),
-            velocity_m_s: self.inner.velocity_m_s().into(),
-            ..cdcr_shared_types::Obstacle::default()
-        }
+        (&self.inner).into()
     }
 
     fn axis(&self) -> [[f64; 3]; 2] {
@@ -156,7 +143,6 @@ pub(crate) fn inner(obstacles: &[Obstacle]) -> Result<Vec<robot::Obstacle>, Fail
 
 /// Rejects more obstacles than controller and daemon can hold, instead of ignoring them.
 pub(crate) fn check_count(found: usize) -> Result<(), Failure> {
-    const { assert!(OBSTACLES_MAX == cdcr_shared_types::limits::OBSTACLES_MAX) };
     if found <= OBSTACLES_MAX {
         return Ok(());
     }

@@ -132,6 +132,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ interpolations)
     /// Interpolation of positions between points.
     Interpolation {
         /// Straight lines.
@@ -383,6 +384,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ solver_kinds)
     /// Method for the optimal control problem.
     SolverKind {
         /// Knowledge-based particle swarm, Eq. 6-7.
@@ -395,6 +397,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ coordinate_kinds)
     /// Coordinates in which the controls are constant over a block.
     Coordinates {
         /// Bend-vector rates (u̇, v̇).
@@ -405,6 +408,7 @@ wire_enum! {
 }
 
 wire_enum! {
+    ($ velocity_rules)
     /// Update rule of a particle's velocity.
     VelocityRule {
         /// Eq. 6 with an inertia weight.

@@ -30,11 +30,13 @@
 //!   so freshness is evaluated from these stamps.
 //!
 //! Messages have no logic: nothing here validates, computes or decides; `daemon/src/convert/` validates at the edge.
+//! With the feature `model`, the module `model` converts them to their counterparts in `cdcr_controller`.
 //! The other modules hold what daemon and client share: folders, files, locks, permissions, shared-memory space, the
 //! reader of `/proc/stat`, the output of `cdcrd bare`, and the plural of counted nouns.
 
 mod access;
 mod bare;
+#[macro_use]
 pub mod codes;
 mod command;
 mod control;
@@ -46,6 +48,8 @@ pub mod ipc;
 pub mod limits;
 mod measurement;
 pub mod message;
+#[cfg(feature = "model")]
+pub mod model;
 mod obstacles;
 mod presence;
 pub mod proc_stat;

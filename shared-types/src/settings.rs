@@ -62,15 +62,15 @@ message! {
 }
 
 /// The solver settings that the controller has under the same names. Calls the macro `$with` with the choices, each with
-/// its enumeration and variants, and the numbers: daemon and client generate their conversions from this list.
+/// its enumeration, and the numbers: the conversions are generated from this list.
 #[macro_export]
 macro_rules! solver_settings {
     ($with:ident) => {
         $with! {
             {
-                solver: SolverKind { Kpso, GaussNewton, KpsoRefined },
-                coordinates: Coordinates { BendVector, BendAngles },
-                velocity_rule: VelocityRule { Inertia, Constriction, Verbatim },
+                solver: SolverKind,
+                coordinates: Coordinates,
+                velocity_rule: VelocityRule,
             }
             horizon_steps, control_blocks, swarm_size, swarm_iterations, regenerate_after, inertia, cognitive,
             social, refinement_steps, damping, position_weight, orientation_weight, orientation_tolerance_rad,

@@ -7,6 +7,7 @@ use cdcr_controller::safety::{
     Lag, SafeCommand, Situation, homing_rates, ramp_to_zero, safe_command,
 };
 use cdcr_shared_types::codes::{Interface, Mode, SolverStatus, guard};
+use cdcr_shared_types::model::guard_flags;
 use cdcr_shared_types::{SolverSettings, Telemetry};
 use nalgebra::Vector3;
 
@@ -288,30 +289,9 @@ impl Computer {
             body.least_clearance_m(state.known.iter().copied())
         };
         check.number("clearance_m", record.clearance_m, clearance_m);
-        let flags = [
-            ("clearance", guard::CLEARANCE, safe.clearance_hit),
-            (
-                "acceleration",
-                guard::ACCELERATION,
-                safe.limits_hit.acceleration,
-            ),
-            ("rate", guard::RATE, safe.limits_hit.rate),
-            ("bend", guard::BEND, safe.limits_hit.bend),
-            (
-                "cable speed",
-                guard::CABLE_SPEED,
-                safe.limits_hit.cable_speed,
-            ),
-            ("tip speed", guard::TIP_SPEED, safe.limits_hit.tip_speed),
-            (
-                "cable stroke",
-                guard::CABLE_STROKE,
-                safe.limits_hit.cable_stroke,
-            ),
-            ("non-finite", guard::NON_FINITE, safe.limits_hit.non_finite),
-        ];
-        for (name, bit, hit) in flags {
-            let flagged = record.guard_flags & bit != 0;
+        let flags = guard_flags(&safe.limits_hit, safe.clearance_hit);
+        for (bit, name, _) in guard::ALL {
+            let [flagged, hit] = [record.guard_flags, flags].map(|flags| flags & bit != 0);
             check.same(&format!("guard_flags ({name})"), flagged, hit);
         }
         let by_play = slack.is_some() && {
@@ -398,7 +378,7 @@ impl Computer {
         self.nmpc.limit_pace(record.pace_m_s);
         let steps = settings.horizon_steps as usize;
         let window = reference.window(record, steps);
-        let approach = approach_of(&record.approach);
+        let approach = Approach::from(&record.approach);
         let samples = window.ahead(record.cycle, steps).iter().zip(1..);
         let led = samples.map(|(sample, step)| {
             let time_ns = record.release_ns + step * record.period_ns;
@@ -432,15 +412,4 @@ fn ramp(record: &Telemetry, state: &State) -> BendRates {
         record.deceleration_rad_s2,
         state.period_s,
     )
-}
-
-fn approach_of(approach: &cdcr_shared_types::Approach) -> Approach {
-    Approach {
-        begin_ns: approach.begin_ns,
-        duration_ns: approach.duration_ns,
-        joining_ns: approach.joining_ns,
-        offset_m: approach.offset_m.into(),
-        velocity_m_s: approach.velocity_m_s.into(),
-        turn_rad: approach.turn_rad.into(),
-    }
 }

@@ -1,9 +1,9 @@
-use cdcr_controller::reference::ReferenceState;
-use cdcr_controller::safety::{self, LeaseState, ModeMachine, Observation};
+use cdcr_controller::safety::{self, ModeMachine, Observation};
 use cdcr_shared_types::codes::{
     self, MeasurementKind, Mode, Reason, RequestKind, SolverStatus, guard,
 };
-use cdcr_shared_types::{InputEvent, Telemetry, lease_states, modes, reasons, reference_states};
+use cdcr_shared_types::model::{mode_of, mode_request};
+use cdcr_shared_types::{InputEvent, Telemetry};
 
 use super::Difference;
 use super::check::Check;
@@ -39,14 +39,18 @@ impl Modes {
         record: &Telemetry,
         requests: &[InputEvent],
     ) -> Option<Difference> {
-        let recorded = mode_of(record);
+        let recorded = recorded_mode(record);
         let mut check = Check::new(record.cycle);
         let mut machine = None;
         if let Some(before) = self.before.take() {
             let advanced = before.advanced(record, requests);
-            let (mode, reason) = codes_of(advanced.mode());
-            check.same("mode", Mode::text_of(record.mode), mode.text());
-            check.same("reason", Reason::text_of(record.reason), reason.text());
+            let (mode, reason) = (advanced.mode().into(), advanced.mode().reason().into());
+            check.same("mode", Mode::text_of(record.mode), Mode::text(mode));
+            check.same(
+                "reason",
+                Reason::text_of(record.reason),
+                Reason::text(reason),
+            );
             machine = Some(advanced);
         }
         let difference = check.first();
@@ -92,7 +96,7 @@ impl Before {
         machine.observe(&seen);
         let mut requests = requests
             .iter()
-            .filter_map(|event| request(event, record))
+            .filter_map(|event| mode_request(event.detail.try_into().ok()?, record.lease_number))
             .peekable();
         // A stop by signal is not a message.
         if requests.peek().is_none()
@@ -115,7 +119,7 @@ impl Before {
     }
 
     fn observation(&self, record: &Telemetry) -> Observation {
-        let recorded_reason = reason_of(record.reason);
+        let recorded_reason = Reason::try_from(record.reason).ok().map(Into::into);
         let reason_in = |mode: Mode, reasons: &[Reason]| {
             let is_recorded = record.mode == mode.code()
                 && reasons.iter().any(|reason| reason.code() == record.reason);
@@ -124,12 +128,16 @@ impl Before {
         let miss_limit = record.miss_limit;
         Observation {
             measured: record.measurement.kind != MeasurementKind::None.code(),
-            reference: reference_state_of(record.reference.state).unwrap_or(ReferenceState::None),
+            reference: codes::ReferenceState::try_from(record.reference.state)
+                .unwrap_or_default()
+                .into(),
             too_far: record.reference_too_far != 0,
             measurement_rejected: record.measurement_rejected != 0,
             tip_contradiction_m: record.tip_contradiction_m,
             pose_differs: record.pose_differs != 0,
-            lease: lease_state_of(record.lease_state).unwrap_or(LeaseState::Free),
+            lease: codes::LeaseState::try_from(record.lease_state)
+                .unwrap_or_default()
+                .into(),
             lease_number: record.lease_number,
             at_home: reason_in(Mode::Holding, &[Reason::HomeReached]).is_some(),
             misses_overflow: miss_limit > 0 && self.miss_bucket >= miss_limit,
@@ -190,62 +198,11 @@ impl Before {
     }
 }
 
-/// Converts a request for a mode; `None` for other requests.
-fn request(event: &InputEvent, record: &Telemetry) -> Option<safety::Request> {
-    Some(match RequestKind::try_from(event.detail).ok()? {
-        RequestKind::Track => safety::Request::Track {
-            lease_number: record.lease_number,
-        },
-        RequestKind::Hold => safety::Request::Hold,
-        RequestKind::Home => safety::Request::Home,
-        RequestKind::Stop => safety::Request::Stop,
-        RequestKind::Reset => safety::Request::Reset,
-        RequestKind::ResetAcceptingPose => safety::Request::ResetAcceptingPose,
-        RequestKind::AcquireLease
-        | RequestKind::ReleaseLease
-        | RequestKind::Settings
-        | RequestKind::ResetStatistics => return None,
-    })
-}
-
 /// The mode of a record; `None` when a code is unknown.
-fn mode_of(record: &Telemetry) -> Option<safety::Mode> {
-    let reason = reason_of(record.reason)?;
-    Some(match Mode::try_from(record.mode).ok()? {
-        Mode::Starting => safety::Mode::Starting,
-        Mode::Holding => safety::Mode::Holding { reason },
-        Mode::Tracking => safety::Mode::Tracking { begun: false },
-        Mode::Homing => safety::Mode::Homing,
-        Mode::Stopped => safety::Mode::Stopped { reason },
-        Mode::Faulted => safety::Mode::Faulted { reason },
-    })
+fn recorded_mode(record: &Telemetry) -> Option<safety::Mode> {
+    let reason = Reason::try_from(record.reason).ok()?;
+    Some(mode_of(record.mode.try_into().ok()?, reason.into()))
 }
-
-fn codes_of(mode: safety::Mode) -> (Mode, Reason) {
-    (mode_code(mode), reason_code(mode.reason()))
-}
-
-macro_rules! to_code {
-    ($to:ident: $domain:path => $code:ident { $($variant:ident,)+ }) => {
-        fn $to(value: $domain) -> codes::$code {
-            type Domain = $domain;
-            match value { $(Domain::$variant { .. } => codes::$code::$variant,)+ }
-        }
-    };
-}
-macro_rules! from_code {
-    ($from:ident: $domain:path => $code:ident { $($variant:ident,)+ }) => {
-        fn $from(code: u32) -> Option<$domain> {
-            type Domain = $domain;
-            Some(match codes::$code::try_from(code).ok()? { $(codes::$code::$variant => Domain::$variant,)+ })
-        }
-    };
-}
-modes!(to_code mode_code: safety::Mode =>);
-reasons!(to_code reason_code: safety::Reason =>);
-reasons!(from_code reason_of: safety::Reason =>);
-lease_states!(from_code lease_state_of: LeaseState =>);
-reference_states!(from_code reference_state_of: ReferenceState =>);
 
 #[cfg(test)]
 mod tests {

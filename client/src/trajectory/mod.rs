@@ -43,6 +43,18 @@ pub enum Orientation {
     Full([f64; 4]),
 }
 
+impl Orientation {
+    /// Kind and numbers of a [`ReferencePoint`].
+    pub fn to_wire(self) -> (OrientationKind, [f64; 4]) {
+        match self {
+            Self::Free => (OrientationKind::None, [0.0; 4]),
+            Self::Axis([x, y, z]) => (OrientationKind::Axis, [x, y, z, 0.0]),
+            Self::Preferred([x, y, z]) => (OrientationKind::Preferred, [x, y, z, 0.0]),
+            Self::Full(quaternion) => (OrientationKind::Full, quaternion),
+        }
+    }
+}
+
 /// A curve in time. Implement it to feed your own curves.
 pub trait Trajectory {
     /// Name for messages.
@@ -68,12 +80,7 @@ pub trait Trajectory {
 
     /// The reference point at `time_s`, stamped with `time_ns` on the daemon's clock.
     fn point(&self, time_s: f64, time_ns: u64) -> ReferencePoint {
-        let (kind, orientation) = match self.orientation(time_s) {
-            Orientation::Free => (OrientationKind::None, [0.0; 4]),
-            Orientation::Axis([x, y, z]) => (OrientationKind::Axis, [x, y, z, 0.0]),
-            Orientation::Preferred([x, y, z]) => (OrientationKind::Preferred, [x, y, z, 0.0]),
-            Orientation::Full(quaternion) => (OrientationKind::Full, quaternion),
-        };
+        let (kind, orientation) = self.orientation(time_s).to_wire();
         ReferencePoint {
             time_ns,
             position_m: self.position_m(time_s),

@@ -5,11 +5,12 @@ use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Tra
 use cdcr_controller::robot::{CABLES_MAX, Configuration, Obstacle, Robot, Shape};
 use cdcr_controller::safety::Request;
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{self, Outcome};
+use cdcr_shared_types::codes::{self, Outcome, RequestKind, UnknownCode};
 use cdcr_shared_types::limits::{
     OBSTACLE_AGE_MS_MAX, OBSTACLE_SPEED_M_S_MAX, REFERENCE_AHEAD_S_MAX,
 };
-use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
+use cdcr_shared_types::model;
+use nalgebra::{Vector3, Vector4};
 
 use crate::handover::TimedMeasurement;
 use crate::obstacles::{KnownObstacle, ObstacleSet};
@@ -57,11 +58,10 @@ pub fn reference_points<'a>(
     robot: &Robot,
     now_ns: u64,
 ) -> Result<impl Iterator<Item = ReferencePoint> + Clone + 'a, Refused> {
-    let interpolation = match codes::Interpolation::try_from(chunk.interpolation) {
-        Ok(codes::Interpolation::Linear) => Interpolation::Linear,
-        Ok(codes::Interpolation::Cubic) => Interpolation::Cubic,
-        Err(_) => return Err(Refused::whole(Outcome::UnknownCode)),
-    };
+    let interpolation = codes::Interpolation::try_from(chunk.interpolation);
+    let interpolation = interpolation
+        .map_err(|_| Refused::whole(Outcome::UnknownCode))?
+        .into();
     let points = (1..=wire::limits::CHUNK_POINTS_MAX)
         .contains(&(chunk.count as usize))
         .then(|| &chunk.points[..chunk.count as usize])
@@ -112,28 +112,19 @@ fn reference_point(
 
 fn orientation(point: &wire::ReferencePoint) -> Result<Orientation, Outcome> {
     let [x, y, z, w] = point.orientation;
-    match codes::OrientationKind::try_from(point.orientation_kind) {
-        Ok(codes::OrientationKind::None) => Ok(Orientation::Free),
-        Ok(kind @ (codes::OrientationKind::Axis | codes::OrientationKind::Preferred)) => {
-            let axis = Vector3::new(x, y, z);
-            if (axis.norm() - 1.0).abs() > UNIT_TOLERANCE {
-                return Err(Outcome::NotUnit);
-            }
-            let axis = Unit::new_normalize(axis);
-            Ok(match kind {
-                codes::OrientationKind::Preferred => Orientation::Preferred(axis),
-                _ => Orientation::Axis(axis),
-            })
-        }
-        Ok(codes::OrientationKind::Full) => {
-            let rotation = Quaternion::new(w, x, y, z);
-            let is_unit = (rotation.norm() - 1.0).abs() <= UNIT_TOLERANCE;
-            let full =
-                is_unit.then(|| Orientation::Full(UnitQuaternion::from_quaternion(rotation)));
-            full.ok_or(Outcome::NotUnit)
-        }
-        Err(_) => Err(Outcome::UnknownCode),
-    }
+    let kind = codes::OrientationKind::try_from(point.orientation_kind).map_err(unknown_code)?;
+    let orientation = model::orientation_of(kind, point.orientation);
+    let norm = match orientation {
+        Orientation::Free => 1.0,
+        Orientation::Axis(_) | Orientation::Preferred(_) => Vector3::new(x, y, z).norm(),
+        Orientation::Full(_) => Vector4::new(x, y, z, w).norm(),
+    };
+    let is_unit = (norm - 1.0).abs() <= UNIT_TOLERANCE;
+    is_unit.then_some(orientation).ok_or(Outcome::NotUnit)
+}
+
+fn unknown_code(_: UnknownCode) -> Outcome {
+    Outcome::UnknownCode
 }
 
 /// Converts the reason for which the trajectory rejected points.
@@ -249,16 +240,11 @@ pub fn updated_obstacles(
 /// One obstacle without its source: finite numbers in range, not measured in the future, not yet expired. One that
 /// moves was measured a short time ago: the prediction from an old stamp, or from 0, would place it elsewhere.
 pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, Outcome> {
-    let [start_m, end_m] = [message.start_m, message.end_m].map(Vector3::from);
     let velocity_m_s = Vector3::from(message.velocity_m_s);
-    let shape = match codes::ObstacleShape::try_from(message.shape) {
-        Ok(codes::ObstacleShape::Sphere) => Shape::Sphere { centre_m: start_m },
-        Ok(codes::ObstacleShape::Capsule) => Shape::Capsule { start_m, end_m },
-        Err(_) => return Err(Outcome::UnknownCode),
-    };
+    let shape = model::shape_of(message).map_err(unknown_code)?;
     let ends = match shape {
-        Shape::Sphere { .. } => [start_m; 2],
-        Shape::Capsule { .. } => [start_m, end_m],
+        Shape::Sphere { centre_m } => [centre_m; 2],
+        Shape::Capsule { start_m, end_m } => [start_m, end_m],
     };
     let finite = ends.iter().flatten().chain(&velocity_m_s);
     if !finite.chain([&message.radius_m]).all(|x| x.is_finite()) {
@@ -292,24 +278,11 @@ pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, 
     is_near.then_some(known).ok_or(Outcome::OutOfRange)
 }
 
-/// The request about the mode; `None` for those about lease, settings and statistics. `lease_number` is the
-/// number of the reference lease at the time of the request.
-pub fn mode_request(
-    kind: codes::RequestKind,
-    accepts_pose: bool,
-    lease_number: u32,
-) -> Option<Request> {
+/// [`model::mode_request`] of a client, which accepts the pose by another field than the kind.
+pub fn mode_request(kind: RequestKind, accepts_pose: bool, lease_number: u32) -> Option<Request> {
     match kind {
-        codes::RequestKind::Track => Some(Request::Track { lease_number }),
-        codes::RequestKind::Hold => Some(Request::Hold),
-        codes::RequestKind::Home => Some(Request::Home),
-        codes::RequestKind::Stop => Some(Request::Stop),
-        codes::RequestKind::Reset if accepts_pose => Some(Request::ResetAcceptingPose),
-        codes::RequestKind::Reset => Some(Request::Reset),
-        codes::RequestKind::AcquireLease
-        | codes::RequestKind::ReleaseLease
-        | codes::RequestKind::Settings
-        | codes::RequestKind::ResetStatistics
-        | codes::RequestKind::ResetAcceptingPose => None,
+        RequestKind::Reset if accepts_pose => Some(Request::ResetAcceptingPose),
+        RequestKind::ResetAcceptingPose => None,
+        _ => model::mode_request(kind, lease_number),
     }
 }

@@ -1,37 +1,33 @@
 //! Wire ↔ domain. Conversion validates: its results are finite, in range and of a known kind.
 //!
-//! In the daemon, the only module that converts between a wire type and its domain counterpart. What has no counterpart is
-//! filled where it is sent: the status by the supervisor, counts and what belongs to the cycle by the reporter.
+//! The pairs that say the same are declared in [`cdcr_shared_types::model`], those of the daemon's own types here. In the
+//! daemon, the only module that converts between a wire type and its domain counterpart. What has no counterpart is filled
+//! where it is sent: the status by the supervisor, counts and what belongs to the cycle by the reporter.
 
-mod enumerations;
 mod incoming;
 mod outgoing;
 mod settings;
 
-pub use enumerations::{interface, link, mode, reason, refusal, tip_cause};
 pub use incoming::{
     Refused, measurement, mode_request, obstacle, reference_points, trajectory_refusal,
     updated_obstacles,
 };
 pub use outgoing::{
-    command, fill_telemetry, guard_flags, position_error_m, reference_position_m, robot,
-    scheduling, telemetry, text,
+    command, fill_telemetry, position_error_m, reference_position_m, scheduling, telemetry, text,
 };
 pub use settings::{settings_from_wire, settings_to_wire, with_changes};
 
-/// The controller does not know the wire contract, and has the same limits.
-const _: () = {
-    use cdcr_controller::{nmpc, robot, safety};
-    use cdcr_shared_types::limits;
-    assert!(robot::SECTIONS_MAX == limits::SECTIONS_MAX);
-    assert!(nmpc::HORIZON_STEPS_MAX == limits::HORIZON_STEPS_MAX);
-    assert!(*nmpc::ranges::ITERATIONS.end() == limits::ITERATIONS_MAX as f64);
-    assert!(nmpc::CONTROL_BLOCKS_MAX == limits::CONTROL_BLOCKS_MAX);
-    assert!(nmpc::PLAN_MAX == limits::PLAN_MAX);
-    assert!(nmpc::SWARM_MAX == limits::SWARM_MAX);
-    assert!(nmpc::OBSTACLES_MAX == limits::OBSTACLES_MAX);
-    assert!(safety::BEND_TOLERANCE_RAD == limits::BEND_TOLERANCE_RAD);
-};
+use cdcr_shared_types::{measurement_states, robot_links, to_code};
+
+use crate::config::{Interface, LinkKind};
+use crate::handover::{MeasurementUse, TipCause};
+
+robot_links!(to_code LinkKind =>);
+measurement_states!(to_code MeasurementUse =>);
+to_code! {
+    Interface => Interface { Velocity, Position }
+    TipCause => TipCause { Far, WasFar, Jumps, Jumped, Frozen }
+}
 
 #[cfg(test)]
 mod tests {

@@ -2,42 +2,17 @@
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::nmpc::{SolveReport, SolveStatus};
-use cdcr_controller::reference::{Approach, Orientation, ReferenceSample, ReferenceState};
-use cdcr_controller::robot::{CABLES_MAX, Configuration, Robot, Shape, quaternion_xyzw};
+use cdcr_controller::reference::{ReferenceSample, ReferenceState};
+use cdcr_controller::robot::{CABLES_MAX, Configuration, Robot, quaternion_xyzw};
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, LateCause};
+use cdcr_shared_types::model;
 use nalgebra::Vector3;
 
-use super::enumerations::{
-    self, interface, lease_state, measurement_state, mode, reason, reference_state, solver_status,
-    tip_cause, winner,
-};
 use super::settings::settings_to_wire;
 use crate::handover::{CycleRecord, TimedMeasurement};
 use crate::obstacles::KnownObstacle;
 use crate::rt::attribution::Scheduling;
-
-pub fn robot(robot: &Robot) -> wire::RobotDescription {
-    let mut description = wire::RobotDescription {
-        sections: robot.section_count() as u32,
-        fingerprint: robot.fingerprint(),
-        cable_speed_max_m_s: robot.cable_speed_max_m_s(),
-        cable_stroke_max_m: robot.cable_stroke_max_m(),
-        tip_speed_max_m_s: robot.tip_speed_max_m_s().unwrap_or(0.0),
-        ..wire::RobotDescription::default()
-    };
-    for (target, section) in description.section.iter_mut().zip(robot.sections()) {
-        *target = wire::SectionDescription {
-            length_m: section.length_m,
-            cable_radius_m: section.cable_radius_m,
-            cable_offset_rad: section.cable_offset_rad,
-            bend_max_rad: section.bend_max_rad,
-            rate_max_rad_s: section.rate_max_rad_s,
-            body_radius_m: section.body_radius_m,
-        };
-    }
-    description
-}
 
 pub fn command(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Command {
     let target = record
@@ -48,8 +23,8 @@ pub fn command(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Com
         release_ns: record.release.release_ns,
         target_ns: record.release.release_ns + period_ns,
         valid_until_ns: record.release.release_ns + record.policy.command_valid_ns,
-        interface: interface(record.policy.interface).code(),
-        mode: mode(record.mode).code(),
+        interface: codes::Interface::from(record.policy.interface).code(),
+        mode: codes::Mode::from(record.mode).code(),
         sections: robot.section_count() as u32,
         cable_length_m: robot.cable_lengths(&target),
         cable_speed_m_s: robot.cable_speeds(&record.rates),
@@ -131,7 +106,7 @@ pub fn fill_telemetry(
     let mut measurement = wire::Measurement::default();
     if let Some(timed) = &record.measurement {
         measurement = measurement_to_wire(timed, robot);
-        measurement.interface = interface(record.policy.interface).code();
+        measurement.interface = codes::Interface::from(record.policy.interface).code();
     }
     let (tip_measured_m, tip_measured_ns) = match &record.tip_measurement {
         Some(TimedMeasurement {
@@ -156,15 +131,15 @@ pub fn fill_telemetry(
         timing_flags = timing_flags(record),
         deadline_misses_total = record.totals.deadline_misses,
         skipped_periods_total = record.totals.skipped_periods,
-        mode = mode(record.mode).code(),
-        reason = reason(record.mode.reason()).code(),
+        mode = codes::Mode::from(record.mode).code(),
+        reason = codes::Reason::from(record.mode.reason()).code(),
         miss_bucket = record.miss_bucket,
         gather = record.gather,
         gather_ns = record.gather_ns,
         settings = settings_to_wire(&record.settings),
-        robot = self::robot(robot),
+        robot = robot.into(),
         window_first_cycle = record.window_first_cycle,
-        lease_state = lease_state(record.lease).code(),
+        lease_state = codes::LeaseState::from(record.lease).code(),
         lease_number = record.lease_number,
         deceleration_rad_s2 = record.policy.deceleration_rad_s2,
         home_rate_rad_s = record.policy.home_rate_rad_s,
@@ -175,8 +150,8 @@ pub fn fill_telemetry(
         measurement_jump_rad = record.policy.plausibility.jump_rad,
         measurement_frozen_rad = record.policy.plausibility.frozen_rad,
         measurement_jump_limit = record.policy.plausibility.jump_limit,
-        measurement_state = measurement_state(record.measurement_use).code(),
-        tip_state = measurement_state(record.tip_use).code(),
+        measurement_state = codes::MeasurementState::from(record.measurement_use).code(),
+        tip_state = codes::MeasurementState::from(record.tip_use).code(),
         tip_offset_m = record.tip_offset_m.into(),
         tip_margin_m = record.tip_margin_m,
         tip_contradiction_m = record.seen.tip_contradiction_m,
@@ -184,11 +159,11 @@ pub fn fill_telemetry(
         plan_length = record.plan_length as u32,
         report = report(&record.report),
         reference = reference(&record.reference),
-        approach = approach(&record.approach),
+        approach = (&record.approach).into(),
         tip_position_m = record.tip.position_m.into(),
         tip_orientation = quaternion_xyzw(&record.tip.rotation),
         position_error_m = position_error_m(record),
-        guard_flags = guard_flags(record),
+        guard_flags = model::guard_flags(&record.limits_hit, record.clearance_hit),
         clearance_m = record.clearance_m,
         following_error_rad = record.following.bend_rad,
         following_error_m = record.following.cable_m,
@@ -212,24 +187,13 @@ pub fn fill_telemetry(
         reference_too_far = u32::from(record.seen.too_far),
         tip_cause = record
             .tip_unused
-            .map_or(codes::TipCause::None, tip_cause)
+            .map_or(codes::TipCause::None, Into::into)
             .code(),
         obstacle_count = record.obstacles.count() as u32,
         measurement = measurement,
         tip_measured_m = tip_measured_m,
         tip_measured_ns = tip_measured_ns,
     );
-}
-
-fn approach(approach: &Approach) -> wire::Approach {
-    wire::Approach {
-        begin_ns: approach.begin_ns,
-        duration_ns: approach.duration_ns,
-        joining_ns: approach.joining_ns,
-        offset_m: approach.offset_m.into(),
-        velocity_m_s: approach.velocity_m_s.into(),
-        turn_rad: approach.turn_rad.into(),
-    }
 }
 
 /// Distance of tip and reference \[m\]; NaN without a reference.
@@ -274,21 +238,13 @@ pub(super) fn measurement_to_wire(timed: &TimedMeasurement, robot: &Robot) -> wi
 
 /// An obstacle at the time of its stamp.
 pub(super) fn obstacle_to_wire(known: &KnownObstacle) -> wire::Obstacle {
-    let (shape, start_m, end_m) = match *known.obstacle.shape() {
-        Shape::Sphere { centre_m } => (codes::ObstacleShape::Sphere, centre_m, centre_m),
-        Shape::Capsule { start_m, end_m } => (codes::ObstacleShape::Capsule, start_m, end_m),
-    };
     wire::Obstacle {
         id: known.id,
-        shape: shape.code(),
-        start_m: start_m.into(),
-        end_m: end_m.into(),
-        radius_m: known.obstacle.radius_m(),
-        velocity_m_s: known.obstacle.velocity_m_s().into(),
         measured_ns: known.measured_ns,
         lifetime_ns: known
             .expires_ns
             .map_or(0, |expires_ns| expires_ns.saturating_sub(known.measured_ns)),
+        ..(&known.obstacle).into()
     }
 }
 
@@ -320,40 +276,14 @@ pub fn scheduling(
 }
 
 fn timing_flags(record: &CycleRecord) -> u32 {
-    let bits = [
-        (record.lateness.late_start, codes::timing::LATE_START),
-        (record.lateness.deadline_miss, codes::timing::DEADLINE_MISS),
-        (record.stale_inputs, codes::timing::STALE_INPUTS),
-    ];
-    sum_of_set(&bits)
-}
-
-/// Changes of the command by limits and guard: [`codes::guard`] bits.
-pub fn guard_flags(record: &CycleRecord) -> u32 {
-    let hit = record.limits_hit;
-    let bits = [
-        (hit.rate, codes::guard::RATE),
-        (hit.bend, codes::guard::BEND),
-        (hit.cable_speed, codes::guard::CABLE_SPEED),
-        (hit.tip_speed, codes::guard::TIP_SPEED),
-        (hit.cable_stroke, codes::guard::CABLE_STROKE),
-        (hit.acceleration, codes::guard::ACCELERATION),
-        (hit.non_finite, codes::guard::NON_FINITE),
-        (record.clearance_hit, codes::guard::CLEARANCE),
-    ];
-    sum_of_set(&bits)
-}
-
-fn sum_of_set(bits: &[(bool, u32)]) -> u32 {
-    let set = bits.iter().filter(|(set, _)| *set);
-    set.fold(0, |flags, (_, bit)| flags | bit)
+    u32::from(record.lateness.late_start) * codes::timing::LATE_START
+        + u32::from(record.lateness.deadline_miss) * codes::timing::DEADLINE_MISS
+        + u32::from(record.stale_inputs) * codes::timing::STALE_INPUTS
 }
 
 fn report(report: &SolveReport) -> wire::SolverReport {
     let (violated, violation) = match report.status {
-        SolveStatus::ConstraintViolated { constraint, amount } => {
-            (enumerations::constraint(constraint), amount)
-        }
+        SolveStatus::ConstraintViolated { constraint, amount } => (constraint.into(), amount),
         _ => (codes::Constraint::None, 0.0),
     };
     wire::SolverReport {
@@ -368,26 +298,18 @@ fn report(report: &SolveReport) -> wire::SolverReport {
         quanta: report.quanta,
         iterations: report.iterations,
         refinements: report.refinements,
-        status: solver_status(report.status).code(),
-        winner: winner(report.winner).code(),
+        status: codes::SolverStatus::from(report.status).code(),
+        winner: codes::Winner::from(report.winner).code(),
     }
 }
 
 fn reference(sample: &ReferenceSample) -> wire::ReferenceSample {
-    let (orientation, kind) = match sample.orientation {
-        Orientation::Free => ([0.0; 4], codes::OrientationKind::None),
-        Orientation::Axis(axis) => ([axis.x, axis.y, axis.z, 0.0], codes::OrientationKind::Axis),
-        Orientation::Preferred(axis) => {
-            let kind = codes::OrientationKind::Preferred;
-            ([axis.x, axis.y, axis.z, 0.0], kind)
-        }
-        Orientation::Full(full) => (full.coords.into(), codes::OrientationKind::Full),
-    };
+    let (kind, orientation) = model::orientation_to_wire(&sample.orientation);
     wire::ReferenceSample {
         position_m: sample.position_m.into(),
         orientation,
         orientation_kind: kind.code(),
-        state: reference_state(sample.state).code(),
+        state: codes::ReferenceState::from(sample.state).code(),
     }
 }
 

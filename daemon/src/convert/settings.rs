@@ -1,38 +1,19 @@
 //! Settings of the solver, in both directions.
 
-use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
-use cdcr_controller::optimizer::VelocityRule;
+use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{self, Outcome};
+use cdcr_shared_types::codes::Outcome;
+use cdcr_shared_types::model;
 
 use crate::handover::{ChangedSettings, RuntimeSettings};
 
-/// Generates both conversions, and the changes of a configuration, from the list of the settings. A missing field does
-/// not compile.
-macro_rules! both_ways {
-    ({ $($choice:ident: $type:ident { $($variant:ident),+ },)+ } $($number:ident),+ $(,)?) => {
-        pub fn settings_to_wire(settings: &RuntimeSettings) -> wire::SolverSettings {
-            let RuntimeSettings { nmpc, budget_ns } = settings;
-            let NmpcSettings { $($choice,)+ $($number),+ } = *nmpc;
-            wire::SolverSettings {
-                $($choice: match $choice { $($type::$variant => codes::$type::$variant,)+ }.code(),)+
-                $($number: $number.into(),)+
-                budget_ns: *budget_ns,
-                reserved: 0,
-            }
-        }
+pub fn settings_to_wire(settings: &RuntimeSettings) -> wire::SolverSettings {
+    model::settings_to_wire(&settings.nmpc, settings.budget_ns)
+}
 
-        fn nmpc_from_wire(message: &wire::SolverSettings) -> Result<NmpcSettings, Outcome> {
-            let wire::SolverSettings { $($choice,)+ $($number,)+ budget_ns: _, reserved: _ } = *message;
-            let unknown = |_| Outcome::UnknownCode;
-            Ok(NmpcSettings {
-                $($choice: match codes::$type::try_from($choice).map_err(unknown)? {
-                    $(codes::$type::$variant => $type::$variant,)+
-                },)+
-                $($number: $number.into(),)+
-            })
-        }
-
+/// Generates the changes of a configuration from the list of the settings. A missing field does not compile.
+macro_rules! changes {
+    ({ $($choice:ident: $type:ident,)+ } $($number:ident),+ $(,)?) => {
         /// The settings in force with the changes of the configuration. The combination is not validated.
         pub fn with_changes(in_force: &RuntimeSettings, changed: &ChangedSettings) -> RuntimeSettings {
             let ChangedSettings { before, after } = changed;
@@ -49,7 +30,7 @@ macro_rules! both_ways {
     };
 }
 
-wire::solver_settings!(both_ways);
+wire::solver_settings!(changes);
 
 /// Settings from the wire, validated for a daemon with this period.
 pub fn settings_from_wire(
@@ -63,7 +44,7 @@ pub fn settings_from_wire(
     if budget_ns > period_ns {
         return Err(Outcome::OutOfRange);
     }
-    let nmpc = nmpc_from_wire(message)?;
+    let nmpc = model::settings_of(message).map_err(|_| Outcome::UnknownCode)?;
     nmpc.validate().map_err(|_| Outcome::OutOfRange)?;
     Ok(RuntimeSettings { nmpc, budget_ns })
 }
@@ -77,16 +58,16 @@ mod tests {
 
     /// Every choice as in a configuration and as in a message.
     macro_rules! choices {
-        ({ $($choice:ident: $type:ident { $($variant:ident),+ },)+ } $($number:ident),+ $(,)?) => {
-            [$($((serde_json::json!($type::$variant), codes::$type::$variant.text()),)+)+]
+        ({ $($choice:ident: $type:ident,)+ } $($number:ident),+ $(,)?) => {
+            $(for code in codes::$type::ALL {
+                assert_eq!(serde_json::json!($type::from(*code)), code.text());
+            })+
         };
     }
 
     #[test]
     fn choices_and_units_are_the_same_in_configuration_and_messages() {
-        for (in_configuration, in_messages) in cdcr_shared_types::solver_settings!(choices) {
-            assert_eq!(in_configuration, in_messages);
-        }
+        cdcr_shared_types::solver_settings!(choices);
         for kind in SolverKind::ALL {
             assert_eq!(serde_json::json!(kind), kind.name());
         }

@@ -236,7 +236,7 @@ impl Measurements {
         if !bound.is(message.header.sender_id, arrival.gather_ns, may_change) {
             return Err(Refused::whole(Outcome::OtherDriver));
         }
-        let interface = convert::interface(self.interface);
+        let interface = self.interface.into();
         let timed = convert::measurement(message, robot, interface, arrival.now_ns)?;
         let has_bends = self.has_bends && self.driver.is_bound_to(message.header.sender_id);
         let is_beside = self.tip_sensor.is_some() || has_bends;

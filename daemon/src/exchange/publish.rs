@@ -20,7 +20,7 @@ impl Exchange {
             self.answer_decided(&record, clock.now_ns());
             self.newest = Newest {
                 cycle: record.release.cycle,
-                mode: convert::mode(record.mode),
+                mode: record.mode.into(),
                 rests: record.rates.as_slice().iter().all(|rate| *rate == 0.0),
             };
             // Records that wait together share one reading.

@@ -2,13 +2,13 @@
 //! out.
 
 use cdcr_controller::safety::Request as ModeRequest;
-use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
+use cdcr_shared_types::codes::{EventKind, Mode, Outcome, RequestKind};
 use cdcr_shared_types::limits::{POSE_DIFFERS_RAD, REQUEST_AGE_MS_MAX};
 use cdcr_shared_types::{Header, Request, Response, Service, ipc};
 use iceoryx2::active_request::ActiveRequest;
 
 use super::Exchange;
-use crate::convert::{self, Refused, mode_request};
+use crate::convert::{Refused, mode_request};
 use crate::handover::{CycleAnswer, CycleRecord, CycleRequest, Shared};
 use crate::rt::clock::Clock;
 
@@ -181,7 +181,7 @@ impl Exchange {
             let Some(asked) = self.requests.remove(*ticket) else {
                 continue;
             };
-            let outcome = outcome.map_or_else(convert::refusal, |()| Outcome::Accepted);
+            let outcome = outcome.map_or_else(Outcome::from, |()| Outcome::Accepted);
             let request = *asked.payload();
             // With several waiting records, only the hand-over time identifies the cycle that decided.
             let decided_ns = record.handed_over_ns;
@@ -196,7 +196,7 @@ impl Exchange {
                 .unwrap_or_default();
             let response = Response {
                 cycle: record.release.cycle,
-                mode: convert::mode(record.mode).code(),
+                mode: Mode::from(record.mode).code(),
                 pose_section,
                 pose_difference_rad,
                 ..self.response(&request.header, outcome, now_ns)

@@ -2,7 +2,7 @@
 
 use cdcr_controller::nmpc::RateWeight;
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{Mode, Outcome, Reason, TipCause};
+use cdcr_shared_types::codes::{Interface, Mode, Outcome, Reason, RobotLink, TipCause};
 
 use crate::config::{Config, LinkKind, TipSensor, Validated, ns};
 use crate::convert;
@@ -34,7 +34,7 @@ pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
     status.measured_error_m = summary.measured_error_m;
     status.tip_measured_ns = summary.tip_measured_ns;
     let rejected = summary.tip_rejected.map(|rejection| rejection.cause);
-    let cause = rejected.map_or(TipCause::None, convert::tip_cause);
+    let cause = rejected.map_or(TipCause::None, Into::into);
     status.driver_measures_tip_only = summary.driver_measures_tip_only.into();
     status.tip_cause = cause.code();
     status.tips_refused = summary.refused_tips.count;
@@ -68,15 +68,15 @@ pub(super) fn first(validated: &Validated, daemon_id: u64) -> wire::Status {
         build: convert::text(env!("CARGO_PKG_VERSION")),
         process_id: std::process::id(),
         mode: Mode::Starting.code(),
-        link: convert::link(config.link.kind).code(),
-        interface: convert::interface(config.link.interface).code(),
+        link: RobotLink::from(config.link.kind).code(),
+        interface: Interface::from(config.link.interface).code(),
         has_tip_sensor: has_tip_sensor(config).into(),
         position_error_m: f64::NAN,
         reference_position_m: [f64::NAN; 3],
         measured_error_m: f64::NAN,
         period_ns,
         deadline_ns: config.cycle.deadline_ns(),
-        robot: convert::robot(&validated.robot),
+        robot: (&validated.robot).into(),
         settings: convert::settings_to_wire(&RuntimeSettings::new(config)),
         clearance_m: f64::INFINITY,
         clearance_fault_m: config.safety.clearance_fault_m,

@@ -1,15 +1,15 @@
-use cdcr_controller::robot::RobotParameters;
+use cdcr_controller::robot::{Robot, RobotParameters};
 use cdcr_interchange::cdr::from_bytes;
 use cdcr_interchange::standard::shape;
+use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::{Mode, ObstacleShape};
-use cdcr_shared_types::{Obstacle, SectionDescription};
 use serde::de::DeserializeOwned;
 
 use super::*;
 
 /// A record of the paper's robot with three sections, 0.2 m off its reference, near a sphere and a capsule.
 fn record(cycle: u64) -> Telemetry {
-    let parameters = RobotParameters::paper(3);
+    let robot = Robot::new(&RobotParameters::paper(3)).expect("the paper's");
     let mut record = Telemetry {
         cycle,
         release_ns: 1_000_000_000 + 5_000_000 * cycle,
@@ -20,22 +20,10 @@ fn record(cycle: u64) -> Telemetry {
         position_error_m: 0.2,
         clearance_m: 0.05,
         obstacle_count: 2,
+        robot: (&robot).into(),
         ..Telemetry::default()
     };
     record.header.sender_id = 7;
-    record.robot.sections = 3;
-    record.robot.cable_speed_max_m_s = parameters.cable_speed_max_m_s;
-    record.robot.cable_stroke_max_m = parameters.cable_stroke_max_m;
-    for (description, section) in record.robot.section.iter_mut().zip(&parameters.sections) {
-        *description = SectionDescription {
-            length_m: section.length_m,
-            cable_radius_m: section.cable_radius_m,
-            cable_offset_rad: section.cable_offset_rad,
-            bend_max_rad: section.bend_max_rad,
-            rate_max_rad_s: section.rate_max_rad_s,
-            body_radius_m: section.body_radius_m,
-        };
-    }
     record.command.sections = 3;
     record.command.cable_length_m[8] = 0.9;
     record.reference.position_m = [0.0, 0.2, 0.9];

@@ -82,7 +82,7 @@ impl World {
         let validated = Config::parse(&text, Path::new("chaos")).unwrap();
         let Validated { config, robot, .. } = &validated;
         let period_ns = ns(config.cycle.period_ms);
-        let interface = convert::interface(config.link.interface);
+        let interface = Interface::from(config.link.interface);
         let driver = Driver::new(&mut dice, robot, interface, ORIGIN_NS);
         let driven = RobotLink::Driver.code();
         Self {
