@@ -159,7 +159,7 @@ impl Reporter {
             {
                 shared.dropped_records.add(1);
             }
-            self.refused_tips = report.inputs.refused_tips.count;
+            self.refused_tips = report.inputs.status.refused_tips.count;
             self.ends.used.recycle(report.record);
         }
     }
@@ -211,7 +211,7 @@ impl Reporter {
             skipped_periods: record.release.skipped,
             due_ns,
             late_cause,
-            counts: self.counts(record, inputs.refused_tips.count),
+            counts: self.counts(record, inputs.status.refused_tips.count),
             position_error_m: self.tracking_error_m(record),
             lateness: record.lateness,
             misses_tolerated: record.policy.tolerates(record.miss_bucket),
@@ -223,13 +223,8 @@ impl Reporter {
                 .map(Into::into),
             faults: record.faults,
             settings: convert::settings_to_wire(&record.settings),
-            safe_distance_min_m: inputs.safe_distance_min_m,
-            lease_holder: inputs.lease_holder,
-            reference_end_ns: inputs.reference_end_ns,
-            reference_points: inputs.reference_points,
+            inputs: inputs.status,
             obstacle_count: record.obstacles.count() as u32,
-            obstacles_refused: inputs.obstacles_refused,
-            silent_source: inputs.silent_source,
             clearance_m: record.clearance_m.min(record.measured_clearance_m),
             tip_margin_m: record.tip_margin_m,
             clearance_guarded: record.clearance_hit,
@@ -243,12 +238,8 @@ impl Reporter {
             pose_differs: record.seen.pose_differs,
             tip_contradiction_m: record.seen.tip_contradiction_m,
             tip_measured_ns: (record.tip_measurement).map_or(0, |timed| timed.measured_ns),
-            refused_tips: inputs.refused_tips,
-            driver_measures_tip_only: inputs.driver_measures_tip_only,
             tip_rejected: self.tip_rejected,
             fault_place: self.fault_place,
-            dropped_events: inputs.dropped_events,
-            outcomes: inputs.outcomes,
         }
     }
 

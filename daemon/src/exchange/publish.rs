@@ -3,7 +3,7 @@
 use cdcr_shared_types as wire;
 
 use super::{Exchange, Newest};
-use crate::handover::{CycleRecord, CycleReport, InputReport, Shared};
+use crate::handover::{CycleRecord, CycleReport, InputReport, InputStatus, Shared};
 use crate::rt::clock::Clock;
 use crate::{convert, services};
 
@@ -85,17 +85,19 @@ impl Exchange {
         InputReport {
             events,
             event_count,
-            dropped_events: self.events.dropped(),
-            outcomes: *self.events.outcomes(),
             gather_took_ns: self.gather.took_ns,
-            lease_holder: self.references.holder(now_ns).unwrap_or(0),
-            reference_end_ns: self.references.end_ns().unwrap_or(0),
-            reference_points: self.references.points_ahead(now_ns) as u32,
-            obstacles_refused: self.obstacles.refused(),
-            silent_source: self.obstacles.silent_source(now_ns),
-            refused_tips: self.measurements.refused_tips(),
-            driver_measures_tip_only: self.measurements.driver_measures_tip_only(),
-            safe_distance_min_m: self.settings.safe_distance_min_m,
+            status: InputStatus {
+                dropped_events: self.events.dropped(),
+                outcomes: *self.events.outcomes(),
+                lease_holder: self.references.holder(now_ns).unwrap_or(0),
+                reference_end_ns: self.references.end_ns().unwrap_or(0),
+                reference_points: self.references.points_ahead(now_ns) as u32,
+                obstacles_refused: self.obstacles.refused(),
+                silent_source: self.obstacles.silent_source(now_ns),
+                refused_tips: self.measurements.refused_tips(),
+                driver_measures_tip_only: self.measurements.driver_measures_tip_only(),
+                safe_distance_min_m: self.settings.safe_distance_min_m,
+            },
         }
     }
 }

@@ -32,7 +32,7 @@ pub use inputs::{CycleAnswer, CycleInputs, CycleRequest, TimedMeasurement};
 pub(crate) use policy::approach_limits;
 pub use policy::{ChangedSettings, Policy, RuntimeSettings};
 pub use record::{CycleFacts, CycleRecord, MeasurementUse};
-pub use report::{CycleReport, InputReport, RefusedTips};
+pub use report::{CycleReport, InputReport, InputStatus, RefusedTips};
 pub use shared::Shared;
 pub use summary::Summary;
 pub use tip_rejection::{TipCause, TipRejection};

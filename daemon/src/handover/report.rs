@@ -53,18 +53,25 @@ pub struct InputReport {
     /// Accepted or refused messages that belong to this record; the first `event_count` are valid.
     pub events: [wire::InputEvent; EVENTS_MAX],
     pub event_count: usize,
+    /// Duration of the newest gather \[ns\].
+    pub gather_took_ns: u64,
+    pub status: InputStatus,
+}
+
+/// What the exchange has of its clients and has refused so far, for the status.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct InputStatus {
     /// Events lost so far because no record could hold them.
     pub dropped_events: u64,
     /// Number of messages by outcome so far.
     pub outcomes: [u64; Outcome::COUNT],
-    /// Duration of the newest gather \[ns\].
-    pub gather_took_ns: u64,
     /// Holder of the reference lease; 0: none.
     pub lease_holder: u64,
     /// Time of the reference's last point \[ns\]; 0: no reference.
     pub reference_end_ns: u64,
     /// Points of the reference in the future.
     pub reference_points: u32,
+    /// Obstacle updates refused since the start.
     pub obstacles_refused: u64,
     /// The source of obstacles that is silent since the earliest time, and that time \[ns\].
     pub silent_source: Option<(u64, u64)>,

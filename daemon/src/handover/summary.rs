@@ -1,10 +1,10 @@
 use cdcr_controller::safety::FollowingError;
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{Mode, Outcome, Reason};
+use cdcr_shared_types::codes::{Mode, Reason};
 
 use crate::accounting::Totals;
 use crate::core_budget::{CoreBudget, Costs};
-use crate::handover::{FaultPlace, RefusedTips, TipRejection};
+use crate::handover::{FaultPlace, InputStatus, TipRejection};
 use crate::rt::schedule::Lateness;
 
 /// Data of a cycle for the supervisor.
@@ -51,19 +51,8 @@ pub struct Summary {
     /// Number of faults since the start.
     pub faults: u64,
     pub settings: wire::SolverSettings,
-    /// Smallest safe distance that a client may set \[m\].
-    pub safe_distance_min_m: f64,
-    /// Holder of the lease; 0: none.
-    pub lease_holder: u64,
-    /// Time of the reference's last point \[ns\]; 0: none.
-    pub reference_end_ns: u64,
-    /// Points of the reference in the future.
-    pub reference_points: u32,
+    pub inputs: InputStatus,
     pub obstacle_count: u32,
-    /// Obstacle updates refused since the start.
-    pub obstacles_refused: u64,
-    /// The source of obstacles that is silent since the earliest time, and that time \[ns\].
-    pub silent_source: Option<(u64, u64)>,
     /// Smallest clearance \[m\].
     pub clearance_m: f64,
     /// Distance by which the body counts as thicker at the tip \[m\].
@@ -86,18 +75,10 @@ pub struct Summary {
     pub pose_differs: bool,
     /// Last measurement of the tip beside bends or cables \[ns\]; 0: none.
     pub tip_measured_ns: u64,
-    /// Measurements of the tip that were refused so far.
-    pub refused_tips: RefusedTips,
-    /// The driver has sent tips, and neither bends nor cables.
-    pub driver_measures_tip_only: bool,
     /// The newest tip measured beside the bends, if it was rejected.
     pub tip_rejected: Option<TipRejection>,
     /// Distance of the measured tip from where the measured bends place it \[m\], where it refuses a reset; else 0.
     pub tip_contradiction_m: f64,
     /// Where the cycle that began the present fault saw its cause.
     pub fault_place: Option<FaultPlace>,
-    /// Events that no record could hold.
-    pub dropped_events: u64,
-    /// Number of messages by outcome.
-    pub outcomes: [u64; Outcome::COUNT],
 }

@@ -294,9 +294,9 @@ impl Supervisor {
             ),
             Some(TipNews::Missing) => tracing::warn!(
                 cycle = summary.cycle,
-                tips_refused = summary.refused_tips.count,
+                tips_refused = summary.inputs.refused_tips.count,
                 "no tip measurement accepted yet (link.tip_sensor = \"separate\"): tip and clearance are those of the model{}",
-                newest_refusal(summary.refused_tips)
+                newest_refusal(summary.inputs.refused_tips)
             ),
             Some(TipNews::Regular) => {
                 tracing::info!(cycle = summary.cycle, "the tip sensor measures regularly");
@@ -364,7 +364,7 @@ impl Supervisor {
 
     fn publish(&mut self, clock: &impl Clock, shared: &Shared) {
         let now_ns = clock.now_ns();
-        let dropped = shared.dropped_records.get() + self.newest.dropped_events;
+        let dropped = shared.dropped_records.get() + self.newest.inputs.dropped_events;
         self.statistics.advance(now_ns);
         self.statistics
             .dropped(dropped.saturating_sub(self.status.dropped_records));

@@ -32,7 +32,8 @@ impl Refusals {
     /// The reasons that are news in a cycle, with a hint each.
     pub(super) fn news(&mut self, summary: &Summary, before: &Summary) -> Vec<(Outcome, String)> {
         let is_contradiction_news = self.is_contradiction_news(summary);
-        let count = |summary: &Summary, outcome: Outcome| summary.outcomes[outcome.code() as usize];
+        let count =
+            |summary: &Summary, outcome: Outcome| summary.inputs.outcomes[outcome.code() as usize];
         let is_news = |outcome: Outcome| match outcome {
             Outcome::Accepted => false,
             Outcome::TipElsewhere => is_contradiction_news,
@@ -44,7 +45,7 @@ impl Refusals {
     }
 
     fn is_contradiction_news(&mut self, summary: &Summary) -> bool {
-        if summary.refused_tips.contradiction_m == 0.0 {
+        if summary.inputs.refused_tips.contradiction_m == 0.0 {
             self.is_contradiction_logged = false;
             return false;
         }
@@ -59,14 +60,14 @@ impl Refusals {
     }
 
     fn hint(&self, outcome: Outcome, summary: &Summary) -> String {
-        let is_refused_tip = summary.refused_tips.newest == outcome;
-        let is_tip = is_refused_tip || summary.driver_measures_tip_only;
+        let is_refused_tip = summary.inputs.refused_tips.newest == outcome;
+        let is_tip = is_refused_tip || summary.inputs.driver_measures_tip_only;
         match outcome {
             Outcome::OtherDriver if is_tip && !self.has_tip_sensor => {
                 "; a tip sensor in a process of its own needs link.tip_sensor = \"separate\""
                     .to_owned()
             }
-            Outcome::TipElsewhere => contradiction(summary.refused_tips.contradiction_m),
+            Outcome::TipElsewhere => contradiction(summary.inputs.refused_tips.contradiction_m),
             Outcome::InThePast if is_refused_tip => format!("; the tip {LATE}"),
             _ => String::new(),
         }
@@ -101,8 +102,8 @@ mod tests {
             due_ns: (1e9 * due_s) as u64,
             ..Summary::default()
         };
-        summary.outcomes[outcome.code() as usize] = count;
-        summary.refused_tips.contradiction_m = contradiction_m;
+        summary.inputs.outcomes[outcome.code() as usize] = count;
+        summary.inputs.refused_tips.contradiction_m = contradiction_m;
         summary
     }
 
@@ -139,10 +140,10 @@ mod tests {
             news[0].1.clone()
         };
         assert_eq!(hint(&now), "", "of another message");
-        now.driver_measures_tip_only = true;
+        now.inputs.driver_measures_tip_only = true;
         assert_eq!(hint(&now), "", "of a reference, beside such a driver");
-        now.refused_tips.newest = Outcome::InThePast;
-        for text in [hint(&now), newest_refusal(now.refused_tips)] {
+        now.inputs.refused_tips.newest = Outcome::InThePast;
+        for text in [hint(&now), newest_refusal(now.inputs.refused_tips)] {
             assert!(text.contains("raise that key above the delay"), "{text}");
         }
     }
@@ -156,7 +157,7 @@ mod tests {
         ] {
             let mut refusals = Refusals::new(has_tip_sensor);
             let mut now = summary(1.0, Outcome::OtherDriver, 1, 0.0);
-            now.driver_measures_tip_only = tip_only;
+            now.inputs.driver_measures_tip_only = tip_only;
             let news = refusals.news(&now, &Summary::default());
             let [(Outcome::OtherDriver, hint)] = news.as_slice() else {
                 panic!("{news:?}");

@@ -10,6 +10,7 @@ use crate::handover::{RuntimeSettings, Summary};
 
 /// Copies the data of the newest cycle into a status.
 pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
+    let inputs = &summary.inputs;
     status.mode = summary.mode.code();
     status.reason = summary.reason.code();
     status.reset_refused_by = summary.reset_refused_by.unwrap_or(Reason::Start).code();
@@ -18,13 +19,13 @@ pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
     status.deadline_misses = summary.totals.deadline_misses;
     status.skipped_periods = summary.totals.skipped_periods;
     status.faults = summary.faults;
-    status.outcomes = summary.outcomes;
-    status.lease_holder = summary.lease_holder;
-    status.reference_end_ns = summary.reference_end_ns;
-    status.reference_points = summary.reference_points;
+    status.outcomes = inputs.outcomes;
+    status.lease_holder = inputs.lease_holder;
+    status.reference_end_ns = inputs.reference_end_ns;
+    status.reference_points = inputs.reference_points;
     status.obstacle_count = summary.obstacle_count;
-    status.obstacles_refused = summary.obstacles_refused;
-    let silent_source = summary.silent_source.unwrap_or_default();
+    status.obstacles_refused = inputs.obstacles_refused;
+    let silent_source = inputs.silent_source.unwrap_or_default();
     (status.silent_obstacle_source, status.silent_since_ns) = silent_source;
     status.clearance_m = summary.clearance_m;
     status.tip_margin_m = summary.tip_margin_m;
@@ -35,19 +36,19 @@ pub(super) fn update(status: &mut wire::Status, summary: &Summary) {
     status.tip_measured_ns = summary.tip_measured_ns;
     let rejected = summary.tip_rejected.map(|rejection| rejection.cause);
     let cause = rejected.map_or(TipCause::None, Into::into);
-    status.driver_measures_tip_only = summary.driver_measures_tip_only.into();
+    status.driver_measures_tip_only = inputs.driver_measures_tip_only.into();
     status.tip_cause = cause.code();
-    status.tips_refused = summary.refused_tips.count;
-    let refused_m = summary.refused_tips.contradiction_m;
+    status.tips_refused = inputs.refused_tips.count;
+    let refused_m = inputs.refused_tips.contradiction_m;
     status.tip_contradiction_m = refused_m.max(summary.tip_contradiction_m);
-    status.tip_refused_by = match summary.refused_tips {
+    status.tip_refused_by = match inputs.refused_tips {
         refused if refused.is_over => Outcome::Accepted.code(),
         refused => refused.newest.code(),
     };
     status.following_error_rad = summary.following.bend_rad;
     status.following_error_m = summary.following.cable_m;
     status.settings = summary.settings;
-    status.safe_distance_min_m = summary.safe_distance_min_m;
+    status.safe_distance_min_m = inputs.safe_distance_min_m;
 }
 
 /// A process beside the driver is to measure the tip.
