@@ -7,8 +7,6 @@ use std::time::Instant;
 use cdcr_client::channels::{Topic, WIRE_TYPE};
 use cdcr_interchange::decode;
 use cdcr_interchange::mcap::{Item, Message, ReadError, Reader};
-use cdcr_shared_types::message::Struct;
-use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -56,45 +54,7 @@ struct Recording {
     /// Records by index of their topic.
     found: Vec<Records>,
     robots: BTreeSet<String>,
-    blank: Blank,
     is_cut: bool,
-}
-
-/// Empty messages that are filled in.
-#[derive(Default)]
-struct Blank {
-    telemetry: Box<Telemetry>,
-    reference: Box<ReferenceChunk>,
-    obstacles: Box<ObstacleUpdate>,
-    status: Box<Status>,
-    incident: Box<Incident>,
-}
-
-impl Blank {
-    fn get_mut(&mut self, topic: Topic) -> &mut dyn Struct {
-        match topic {
-            Topic::Telemetry => {
-                *self.telemetry = Telemetry::default();
-                &mut *self.telemetry
-            }
-            Topic::Reference => {
-                *self.reference = ReferenceChunk::default();
-                &mut *self.reference
-            }
-            Topic::Obstacles => {
-                *self.obstacles = ObstacleUpdate::default();
-                &mut *self.obstacles
-            }
-            Topic::Status => {
-                *self.status = Status::default();
-                &mut *self.status
-            }
-            Topic::Incidents => {
-                *self.incident = Incident::default();
-                &mut *self.incident
-            }
-        }
-    }
 }
 
 impl Recording {
@@ -112,7 +72,6 @@ impl Recording {
             passed: 0,
             found: Topic::ALL.map(|topic| Records::new(topic.layout())).into(),
             robots: BTreeSet::new(),
-            blank: Blank::default(),
             is_cut: false,
         })
     }
@@ -142,9 +101,10 @@ impl Recording {
                             continue;
                         }
                     }
-                    let blank = self.blank.get_mut(topic);
-                    decode(message.data, blank).map_err(|error| refused(&self.path, &error))?;
-                    self.found[topic as usize].push(blank);
+                    let mut found = topic.zero();
+                    decode(message.data, &mut *found)
+                        .map_err(|error| refused(&self.path, &error))?;
+                    self.found[topic as usize].push(&*found);
                     one_robot(&self.path, &self.robots)?;
                 }
                 Some(_) => {}

@@ -12,53 +12,59 @@ pub const WIRE_TYPE: &str = "wire_type";
 /// Metadata key of the ROS 2 type hash, as in rosbag2.
 pub(super) const TYPE_HASH: &str = "topic_type_hash";
 
-/// A service whose messages are recorded and shown.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Topic {
-    /// [`Telemetry`].
-    Telemetry,
-    /// [`ReferenceChunk`].
-    Reference,
-    /// [`ObstacleUpdate`].
-    Obstacles,
-    /// [`Status`].
-    Status,
-    /// [`Incident`].
-    Incidents,
+/// A message type with a topic.
+pub trait Recorded: Message + Struct {
+    /// Topic of this type.
+    const TOPIC: Topic;
+}
+
+/// Declares the topics: each with the type of its messages and the noun for one.
+macro_rules! topics {
+    ($($topic:ident: $message:ident $noun:literal,)+) => {
+        /// A service whose messages are recorded and shown.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub enum Topic {
+            $(#[doc = concat!("[`", stringify!($message), "`].")] $topic,)+
+        }
+
+        impl Topic {
+            /// All topics; the index of each is its number.
+            pub const ALL: [Self; [$($noun,)+].len()] = [$(Self::$topic,)+];
+
+            /// The service of this topic.
+            pub fn service(self) -> Service {
+                match self { $(Self::$topic => $message::SERVICE,)+ }
+            }
+
+            /// Layout of its messages.
+            pub fn layout(self) -> &'static MessageLayout {
+                match self { $(Self::$topic => $message::LAYOUT,)+ }
+            }
+
+            /// A message of zeros.
+            pub fn zero(self) -> Box<dyn Struct> {
+                match self { $(Self::$topic => Box::<$message>::default(),)+ }
+            }
+
+            /// Noun for one message.
+            pub fn noun(self) -> &'static str {
+                match self { $(Self::$topic => $noun,)+ }
+            }
+        }
+
+        $(impl Recorded for $message { const TOPIC: Topic = Topic::$topic; })+
+    };
+}
+
+topics! {
+    Telemetry: Telemetry "cycle",
+    Reference: ReferenceChunk "reference chunk",
+    Obstacles: ObstacleUpdate "obstacle update",
+    Status: Status "snapshot",
+    Incidents: Incident "incident",
 }
 
 impl Topic {
-    /// All topics; the index of each is its number.
-    pub const ALL: [Self; 5] = [
-        Self::Telemetry,
-        Self::Reference,
-        Self::Obstacles,
-        Self::Status,
-        Self::Incidents,
-    ];
-
-    /// The service of this topic.
-    pub fn service(self) -> Service {
-        match self {
-            Self::Telemetry => Telemetry::SERVICE,
-            Self::Reference => ReferenceChunk::SERVICE,
-            Self::Obstacles => ObstacleUpdate::SERVICE,
-            Self::Status => Status::SERVICE,
-            Self::Incidents => Incident::SERVICE,
-        }
-    }
-
-    /// Layout of its messages.
-    pub fn layout(self) -> &'static MessageLayout {
-        match self {
-            Self::Telemetry => Telemetry::LAYOUT,
-            Self::Reference => ReferenceChunk::LAYOUT,
-            Self::Obstacles => ObstacleUpdate::LAYOUT,
-            Self::Status => Status::LAYOUT,
-            Self::Incidents => Incident::LAYOUT,
-        }
-    }
-
     /// Channel of this topic for a robot.
     ///
     /// # Errors
@@ -86,34 +92,4 @@ impl Topic {
             .into_iter()
             .find(|topic| topic.layout().name == name)
     }
-
-    /// Noun for one message.
-    pub fn noun(self) -> &'static str {
-        match self {
-            Self::Telemetry => "cycle",
-            Self::Reference => "reference chunk",
-            Self::Obstacles => "obstacle update",
-            Self::Status => "snapshot",
-            Self::Incidents => "incident",
-        }
-    }
-}
-
-/// A message type with a topic.
-pub trait Recorded: Message + Struct {
-    /// Topic of this type.
-    const TOPIC: Topic;
-}
-
-macro_rules! recorded {
-    ($($message:ident => $topic:ident,)+) => { $(
-        impl Recorded for $message { const TOPIC: Topic = Topic::$topic; }
-    )+ };
-}
-recorded! {
-    Telemetry => Telemetry,
-    ReferenceChunk => Reference,
-    ObstacleUpdate => Obstacles,
-    Status => Status,
-    Incident => Incidents,
 }

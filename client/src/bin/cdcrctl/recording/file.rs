@@ -27,28 +27,6 @@ pub(crate) enum Recorded {
     Incident(Box<Incident>),
 }
 
-impl Recorded {
-    fn zero(topic: Topic) -> Self {
-        match topic {
-            Topic::Telemetry => Self::Telemetry(Box::default()),
-            Topic::Reference => Self::Reference(Box::default()),
-            Topic::Obstacles => Self::Obstacles(Box::default()),
-            Topic::Status => Self::Status(Box::default()),
-            Topic::Incidents => Self::Incident(Box::default()),
-        }
-    }
-
-    fn fields_mut(&mut self) -> &mut dyn Struct {
-        match self {
-            Self::Telemetry(message) => &mut **message,
-            Self::Reference(message) => &mut **message,
-            Self::Obstacles(message) => &mut **message,
-            Self::Status(message) => &mut **message,
-            Self::Incident(message) => &mut **message,
-        }
-    }
-}
-
 /// A recording read from start to end, with one chunk in memory.
 pub(crate) struct Recording<R = BufReader<Counted>> {
     path: PathBuf,
@@ -231,10 +209,20 @@ fn decoded(message: &Message<'_>) -> anyhow::Result<Option<Recorded>> {
         return Ok(None);
     };
     check_version(topic, message)?;
-    let mut zero = Recorded::zero(topic);
-    decode(message.data, zero.fields_mut())
+    Ok(Some(match topic {
+        Topic::Telemetry => Recorded::Telemetry(content(message)?),
+        Topic::Reference => Recorded::Reference(content(message)?),
+        Topic::Obstacles => Recorded::Obstacles(content(message)?),
+        Topic::Status => Recorded::Status(content(message)?),
+        Topic::Incidents => Recorded::Incident(content(message)?),
+    }))
+}
+
+fn content<T: Struct + Default>(message: &Message<'_>) -> anyhow::Result<Box<T>> {
+    let mut content = Box::<T>::default();
+    decode(message.data, &mut *content)
         .with_context(|| format!("message {} of {}", message.sequence, message.channel.topic))?;
-    Ok(Some(zero))
+    Ok(content)
 }
 
 fn check_version(topic: Topic, message: &Message<'_>) -> anyhow::Result<()> {
