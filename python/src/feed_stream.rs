@@ -57,7 +57,7 @@ impl FeedStream {
     fn __enter__(slf: Bound<'_, Self>) -> PyResult<Bound<'_, Self>> {
         let stream = slf.get();
         let (port, orders) = channel();
-        let desk = Desk {
+        let desk = StreamThread {
             orders,
             address: stream.address.clone(),
             interpolation: stream.interpolation,
@@ -242,7 +242,7 @@ const LONGER_EACH: Duration = Duration::from_millis(2);
 const SILENCE: Duration = Duration::from_millis(200);
 
 /// State of the thread of a stream.
-struct Desk {
+struct StreamThread {
     address: Address,
     orders: Receiver<Vec<ReferencePoint>>,
     interpolation: Interpolation,
@@ -267,7 +267,7 @@ struct Outbox {
     sent_at: Instant,
 }
 
-impl Desk {
+impl StreamThread {
     /// Runs until the senders of orders are dropped.
     fn serve(&self, connection: &Connection, begun: &Sender<bool>) -> Result<(), Failure> {
         let mut outbox = Outbox::new(connection.reference_feed()?);

@@ -20,13 +20,13 @@ const PRESET: &str = "preset";
 type Turned = [f64; 3];
 
 #[derive(Deserialize)]
-struct Declared {
+struct DeclaredTuning {
     /// Key, unit, and values.
     knobs: [(String, String, Vec<f64>); 3],
     presets: Vec<(String, Turned)>,
 }
 
-fn declared() -> Declared {
+fn declared() -> DeclaredTuning {
     toml::from_str(DECLARATION).expect("a declaration")
 }
 
@@ -35,7 +35,7 @@ type Turn = (String, String, Option<f64>, Turned);
 
 /// The presets, and each knob with `only` in its key.
 fn turns(only: Option<&str>) -> Vec<Turn> {
-    let Declared { knobs, presets } = declared();
+    let DeclaredTuning { knobs, presets } = declared();
     let is_precise = |(name, _): &&(String, Turned)| name == "precise";
     let precise = presets.iter().find(is_precise).expect("a preset").1;
     let presets = (presets.into_iter()).map(|(name, knobs)| (PRESET.to_owned(), name, None, knobs));
@@ -150,7 +150,7 @@ mod tests {
 
     #[test]
     fn the_presets_are_those_of_the_daemon() {
-        let Declared { knobs, presets } = declared();
+        let DeclaredTuning { knobs, presets } = declared();
         for (name, turned) in presets {
             let found = knobs.each_ref().map(|(key, ..)| in_force(&name, key));
             assert_eq!(turned, found, "{name}");

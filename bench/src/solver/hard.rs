@@ -65,9 +65,9 @@ pub fn measure_by_deadlines(divisor: u64) -> Result<Vec<Value>> {
     })
 }
 
-type Problem = (SolverKind, u32, usize);
+type HardProblem = (SolverKind, u32, usize);
 
-fn every(divisor: u64, solve: impl Fn(Problem) -> Result<Value>) -> Result<Vec<Value>> {
+fn every(divisor: u64, solve: impl Fn(HardProblem) -> Result<Value>) -> Result<Vec<Value>> {
     let mut rows = Vec::new();
     if divisor > 1 {
         return Ok(rows);
@@ -83,21 +83,21 @@ fn every(divisor: u64, solve: impl Fn(Problem) -> Result<Value>) -> Result<Vec<V
     Ok(rows)
 }
 
-fn size((solver, _, obstacles): Problem) -> Size {
+fn size((solver, _, obstacles): HardProblem) -> Size {
     let mut size = Size::paper(Task::Spiral { sections: 3 }, solver);
     (size.settings.horizon_steps, size.obstacles) = (HORIZON, obstacles);
     size
 }
 
 /// No guard corrects the plan.
-fn follow(problem: Problem, cycles_max: u64, end: End) -> Result<SceneRun> {
+fn follow(problem: HardProblem, cycles_max: u64, end: End) -> Result<SceneRun> {
     let (size, speed) = (size(problem), problem.1);
     let mut scene = size.scene()?.faster(speed.into());
     scene.cycles = (size.task.scene()?.cycles / u64::from(speed)).min(cycles_max);
     run_with(&scene, size.settings, end, false, |_, _| ())
 }
 
-fn outcome(problem: Problem, run: &SceneRun) -> Value {
+fn outcome(problem: HardProblem, run: &SceneRun) -> Value {
     let least_m = Some(run.least_clearance_m()).filter(|least_m| least_m.is_finite());
     let safe_m = size(problem).settings.safe_distance_m;
     json!({

@@ -23,11 +23,11 @@ const STEP_MAX_S: f64 = 0.02;
 #[derive(Debug, Clone, Default)]
 pub(super) struct Load {
     /// By measured bends, and by measured cables.
-    known: [Option<Known>; 2],
+    known: [Option<MeasuredLoad>; 2],
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Known {
+struct MeasuredLoad {
     /// The distance while the motors moved the robot \[rad\].
     load_rad: Bends,
     present_rad: Bends,
@@ -67,7 +67,7 @@ impl Load {
         match known {
             Some(known) => known.add(&distance_rad, motors, measured.measured_ns, obeys),
             None if obeys => {
-                *known = Some(Known {
+                *known = Some(MeasuredLoad {
                     load_rad: distance_rad,
                     present_rad: distance_rad,
                     motors_rad: motors.bend_rad,
@@ -87,12 +87,12 @@ impl Load {
         newest_ns.is_some_and(|newest_ns| {
             // A kind that is measured no more says nothing.
             let mut present = known().filter(|known| newest_ns - known.measured_ns < FIRST_NS);
-            present.all(Known::explains_distance)
+            present.all(MeasuredLoad::explains_distance)
         })
     }
 }
 
-impl Known {
+impl MeasuredLoad {
     fn add(
         &mut self,
         distance_rad: &Bends,

@@ -70,7 +70,7 @@ pub struct ReplayedCycle {
 /// Memory: 64 records (0.9 MB), at most 512 reference chunks (4.7 MB), a trajectory.
 #[derive(Debug, Default)]
 pub struct Replayer {
-    waiting: VecDeque<Waiting>,
+    waiting: VecDeque<WaitingRecord>,
     newest: Option<Header>,
     daemon_state: Option<DaemonState>,
     reference: Reference,
@@ -78,7 +78,7 @@ pub struct Replayer {
 
 /// A record whose cycle is not computed yet.
 #[derive(Debug)]
-struct Waiting {
+struct WaitingRecord {
     record: Box<Telemetry>,
     /// Whether records before it are missing.
     follows_gap: bool,
@@ -113,7 +113,7 @@ impl Replayer {
             self.reference.forget_events();
         }
         self.reference.take_events(record);
-        self.waiting.push_back(Waiting {
+        self.waiting.push_back(WaitingRecord {
             follows_gap: last.is_some_and(|last| record.header.sequence != last.sequence + 1),
             is_first: !is_same,
             record: Box::new(*record),
@@ -133,7 +133,7 @@ impl Replayer {
         let Some(next) = self.waiting.pop_front() else {
             return Ok(None);
         };
-        let Waiting {
+        let WaitingRecord {
             record,
             follows_gap,
             is_first,

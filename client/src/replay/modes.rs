@@ -16,12 +16,12 @@ use super::check::Check;
 /// misses, lease, end of the reference, and requests.
 #[derive(Debug, Default)]
 pub(super) struct Modes {
-    before: Option<Before>,
+    before: Option<PreviousCycle>,
 }
 
 /// State after the previous cycle.
 #[derive(Debug)]
-struct Before {
+struct PreviousCycle {
     machine: ModeMachine,
     clearance_m: f64,
     miss_bucket: u32,
@@ -56,7 +56,7 @@ impl Modes {
         let difference = check.first();
         let machine = machine.filter(|_| difference.is_none());
         // After a difference, as after a gap, the recorded mode is used.
-        self.before = recorded.map(|mode| Before {
+        self.before = recorded.map(|mode| PreviousCycle {
             machine: machine.unwrap_or_else(|| ModeMachine::resumed(mode, record.lease_number)),
             clearance_m: record.clearance_m,
             miss_bucket: record.miss_bucket,
@@ -65,7 +65,7 @@ impl Modes {
     }
 }
 
-impl Before {
+impl PreviousCycle {
     fn advanced(&self, record: &Telemetry, requests: &[InputEvent]) -> ModeMachine {
         let mut machine = self.machine;
         let was_shut_down = machine.mode().reason() == safety::Reason::Shutdown;

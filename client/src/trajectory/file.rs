@@ -112,7 +112,7 @@ impl FileTrajectory {
         {
             return Err((None, Problem::Json));
         }
-        let columns = Columns::find(header).map_err(in_line(1))?;
+        let columns = PointColumns::find(header).map_err(in_line(1))?;
         check_end(text, header)?;
         let mut trajectory = Self {
             name: path.display().to_string(),
@@ -201,12 +201,12 @@ impl Trajectory for FileTrajectory {
 }
 
 /// Column of each value.
-struct Columns {
+struct PointColumns {
     pose: [usize; 4],
     quaternion: Option<[usize; 4]>,
 }
 
-impl Columns {
+impl PointColumns {
     fn find(header: &csv::StringRecord) -> Result<Self, Problem> {
         check_header(header)?;
         // Spreadsheet programs may write a byte-order mark before the first name.

@@ -124,7 +124,7 @@ pub fn calibrate(
         .partition(|(at, _)| at * PARTS / rows.len() % 5 == 2);
     let without_index = |rows: Vec<(usize, _)>| rows.into_iter().map(|(_, row)| row).collect();
     let (held_out, fitted): (Vec<_>, Vec<_>) = (without_index(held_out), without_index(fitted));
-    let mut search = Search::new(&configured, rows, hold);
+    let mut search = GeometrySearch::new(&configured, rows, hold);
 
     // The prior keeps undetermined parameters at their configured values until they are identified.
     search.fit(&configured, &fitted, true, true)?;
@@ -192,7 +192,7 @@ fn check(robot: &RobotParameters, rows: &[CalibrationRow]) -> Result<(), Calibra
 }
 
 /// State of the fit.
-struct Search {
+struct GeometrySearch {
     geometry: Geometry,
     noise: Noise,
     scale: [f64; PARAMETERS_MAX],
@@ -202,7 +202,7 @@ struct Search {
     correlation: f64,
 }
 
-impl Search {
+impl GeometrySearch {
     fn new(configured: &Geometry, rows: &[CalibrationRow], hold: &[ParameterGroup]) -> Self {
         let sections = configured.robot.sections.len();
         let is_turned = rows.iter().all(|row| row.tip_rotation.is_some());

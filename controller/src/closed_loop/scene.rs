@@ -176,7 +176,7 @@ impl Scene {
     /// Three sections whose tip follows the points of `way`, which gets its first position.
     fn along(
         bend_angles: [[f64; 2]; 3],
-        way: impl FnOnce(Vector3<f64>) -> Vec<Knot>,
+        way: impl FnOnce(Vector3<f64>) -> Vec<TimedPoint>,
         cycles: u64,
     ) -> Result<Self, SceneError> {
         let robot = Robot::new(&RobotParameters::paper(3))?;
@@ -306,11 +306,11 @@ pub(super) fn spiral_shape(sections: usize, time_s: f64) -> Configuration {
 }
 
 /// A time (s) and a position (m).
-type Knot = (f64, Vector3<f64>);
+type TimedPoint = (f64, Vector3<f64>);
 
 /// The position on a curve through points, at rest in each of them. Two points at one time are a jump. The last point
 /// is held.
-fn on_legs(knots: &[Knot], time_s: f64) -> Vector3<f64> {
+fn on_legs(knots: &[TimedPoint], time_s: f64) -> Vector3<f64> {
     let next = knots.partition_point(|knot| knot.0 <= time_s);
     let (from_s, from_m) = knots[next.saturating_sub(1)];
     let Some((to_s, to_m)) = knots.get(next).filter(|_| next > 0) else {

@@ -24,7 +24,7 @@ const STEP_MIN_RAD: f64 = 1e-9;
 #[derive(Debug, Clone)]
 pub(super) struct TipFilter {
     /// Covariance of the bends \[rad²\], symmetric.
-    covariance: Square,
+    covariance: CovarianceMatrix,
     /// Variance of a measured coordinate \[m²\].
     noise_m2: f64,
 }
@@ -105,10 +105,10 @@ impl TipFilter {
     }
 
     /// Lower triangle C with C Cᵀ = P (Cholesky); the column of an exactly known bend is zero.
-    fn root(&self) -> Square {
+    fn root(&self) -> CovarianceMatrix {
         let mut root = [[0.0; COORDINATES_MAX]; COORDINATES_MAX];
         for j in 0..COORDINATES_MAX {
-            let left = |root: &Square, i: usize| {
+            let left = |root: &CovarianceMatrix, i: usize| {
                 let known = (0..j).map(|k| root[i][k] * root[j][k]);
                 self.covariance[i][j] - known.sum::<f64>()
             };
@@ -145,7 +145,7 @@ impl TipFilter {
     }
 }
 
-type Square = [[f64; COORDINATES_MAX]; COORDINATES_MAX];
+type CovarianceMatrix = [[f64; COORDINATES_MAX]; COORDINATES_MAX];
 
 /// A candidate configuration between prediction and measurement.
 struct Fit {
@@ -162,7 +162,7 @@ impl Fit {
         units: [f64; COORDINATES_MAX],
         robot: &Robot,
         before: &Configuration,
-        root: &Square,
+        root: &CovarianceMatrix,
         position_m: &Vector3<f64>,
         noise_m2: f64,
     ) -> Self {
@@ -211,7 +211,7 @@ impl Fit {
 }
 
 /// Motion of the tip by each column of a matrix over the bends.
-fn by_unit(jacobian: &Jacobian, matrix: &Square) -> [Vector3<f64>; COORDINATES_MAX] {
+fn by_unit(jacobian: &Jacobian, matrix: &CovarianceMatrix) -> [Vector3<f64>; COORDINATES_MAX] {
     let mut sums = [Vector3::zeros(); COORDINATES_MAX];
     for (tip, row) in rows(jacobian).zip(matrix) {
         for (sum, weight) in sums.iter_mut().zip(row) {

@@ -52,7 +52,7 @@ type ComponentRange = (Configuration, Configuration);
 
 /// A measurement of a robot that executes its commands.
 #[derive(Debug, Clone, Copy)]
-struct Followed {
+struct FollowedAt {
     at: Configuration,
     /// The robot completes its commands at the commanded value plus the first to the second of these. Speeds: their integral
     /// has returned to measurements that lag, so the motion of the lag is still to come. Positions: the error remains.
@@ -87,7 +87,7 @@ pub struct FollowingWatch {
     /// once, also those of a driver that fell silent, or complete their motion.
     latched: Option<ComponentRange>,
     /// The last measurement in control, unless its error was a fault.
-    followed: Option<Followed>,
+    followed: Option<FollowedAt>,
     error: FollowingError,
 }
 
@@ -150,7 +150,7 @@ impl FollowingWatch {
             return;
         };
         widen(range, &self.commanded);
-        if let Some(Followed { beside, .. }) = &self.followed {
+        if let Some(FollowedAt { beside, .. }) = &self.followed {
             for by in [&beside.0, &beside.1] {
                 widen(range, &sum(&self.commanded, 1.0, by));
             }
@@ -202,7 +202,7 @@ impl FollowingWatch {
             } else {
                 (sum(measured, -1.0, &most), sum(measured, -1.0, &least))
             };
-            self.followed = (!self.is_broken()).then_some(Followed {
+            self.followed = (!self.is_broken()).then_some(FollowedAt {
                 at: *measured,
                 beside,
             });

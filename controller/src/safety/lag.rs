@@ -57,7 +57,7 @@ struct Point {
 }
 
 /// A section that is nearer to an obstacle than its floor.
-struct TooNear<'a> {
+struct SectionTooNear<'a> {
     point: &'a Point,
     section: usize,
     obstacle: Obstacle,
@@ -181,7 +181,7 @@ impl<'a> LagLines<'a> {
     fn each_violation(
         &self,
         rates: &BendRates,
-        mut and_go_on: impl FnMut(TooNear<'_>) -> bool,
+        mut and_go_on: impl FnMut(SectionTooNear<'_>) -> bool,
     ) -> bool {
         let path_s = self.situation.stopping().path(fastest(rates)).path_s;
         let period_s = self.situation.period_s;
@@ -205,7 +205,7 @@ impl<'a> LagLines<'a> {
         point: &Point,
         index: usize,
         path_s: f64,
-        mut and_go_on: impl FnMut(TooNear<'_>) -> bool,
+        mut and_go_on: impl FnMut(SectionTooNear<'_>) -> bool,
     ) -> bool {
         let near = self.near.get(index).copied().unwrap_or(u8::MAX);
         if near == 0 {
@@ -234,7 +234,7 @@ impl<'a> LagLines<'a> {
                 return false;
             };
             *clearance_m >= floor_m
-                || and_go_on(TooNear {
+                || and_go_on(SectionTooNear {
                     point,
                     section,
                     obstacle,
@@ -318,7 +318,7 @@ impl<'a> LagLines<'a> {
     }
 }
 
-impl TooNear<'_> {
+impl SectionTooNear<'_> {
     /// Adds the half-space of rates at which the section keeps its floor, linearised at `rates`.
     fn bound(&self, robot: &Robot, rates: &BendRates, region: &mut Region) {
         let Nearest {

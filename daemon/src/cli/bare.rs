@@ -36,15 +36,15 @@ pub(super) struct BareOptions {
     #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
     duration: Duration,
     /// Output format.
-    #[arg(long, value_enum, default_value_t = Format::Text, value_name = "FORMAT")]
-    format: Format,
+    #[arg(long, value_enum, default_value_t = BareFormat::Text, value_name = "FORMAT")]
+    format: BareFormat,
     /// End when the parent process, which has this id, ends, however it ends.
     #[arg(long, value_name = "PID", hide = true)]
     end_with_parent: Option<i32>,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Format {
+enum BareFormat {
     /// Table.
     Text,
     /// One line per cycle.
@@ -77,11 +77,11 @@ fn duration(text: &str) -> Result<Duration, String> {
     humantime::parse_duration(text).map_err(|cause| format!("{cause} (for example 10s or 250ms)"))
 }
 
-fn write(out: &mut impl Write, format: Format, outcome: &Outcome) -> io::Result<()> {
+fn write(out: &mut impl Write, format: BareFormat, outcome: &Outcome) -> io::Result<()> {
     match format {
-        Format::Text => write_text(out, &outcome.summary),
-        Format::Csv => write_csv(out, &outcome.cycles),
-        Format::Json => {
+        BareFormat::Text => write_text(out, &outcome.summary),
+        BareFormat::Csv => write_csv(out, &outcome.cycles),
+        BareFormat::Json => {
             serde_json::to_writer_pretty(&mut *out, &outcome.summary)?;
             writeln!(out)
         }
@@ -244,7 +244,7 @@ mod tests {
         }
     }
 
-    fn written(format: Format) -> String {
+    fn written(format: BareFormat) -> String {
         let mut bytes = Vec::new();
         write(&mut bytes, format, &outcome()).unwrap();
         String::from_utf8(bytes).unwrap()
@@ -257,7 +257,10 @@ mod tests {
             "3,200,310,350,1,1,0,70,2,2",
             "3,200,310,350,1,1,0,,,4",
         ];
-        assert_eq!(written(Format::Csv).lines().collect::<Vec<_>>(), expected);
+        assert_eq!(
+            written(BareFormat::Csv).lines().collect::<Vec<_>>(),
+            expected
+        );
     }
 
     #[test]
@@ -279,12 +282,12 @@ run-queue wait   not reported by the kernel
 real time        no: SCHED_FIFO, locked memory missing
 core             1
 ";
-        assert_eq!(written(Format::Text), expected);
+        assert_eq!(written(BareFormat::Text), expected);
     }
 
     #[test]
     fn the_summary_is_json_with_units() {
-        let json: serde_json::Value = serde_json::from_str(&written(Format::Json)).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&written(BareFormat::Json)).unwrap();
         assert_eq!(json["wake"]["p999_ns"], 99_960);
         assert_eq!(json["run_delay"], serde_json::Value::Null);
         assert_eq!(json["causes"]["another task had the core"], 1);

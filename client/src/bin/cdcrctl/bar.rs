@@ -79,7 +79,7 @@ fn target() -> ProgressDrawTarget {
     if !stderr().is_terminal() || is_dumb {
         return ProgressDrawTarget::hidden();
     }
-    ProgressDrawTarget::term_like_with_hz(Box::new(Line::default()), 10)
+    ProgressDrawTarget::term_like_with_hz(Box::new(BarLine::default()), 10)
 }
 
 /// Width of the terminal; 0: unknown.
@@ -89,11 +89,11 @@ fn columns() -> u16 {
 
 /// The one line of a bar. Drawing it never waits for the terminal.
 #[derive(Debug, Default)]
-struct Line {
+struct BarLine {
     text: Mutex<String>,
 }
 
-impl TermLike for Line {
+impl TermLike for BarLine {
     fn width(&self) -> u16 {
         match columns() {
             0 => COLUMNS_FOR_BAR,

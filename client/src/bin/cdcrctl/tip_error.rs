@@ -12,7 +12,7 @@ use cdcr_shared_types::codes::{Mode, ReferenceState, guard};
 use crate::bend_limit::BendShare;
 use crate::unmeasured_tip::SILENT_NS;
 use frames::Frames;
-use measured::{Measured, Sums};
+use measured::{MeasuredError, Sums};
 use silence::Silence;
 
 /// Distance between tip and reference while the robot tracked. The approach is counted separately.
@@ -41,7 +41,7 @@ pub(crate) struct TipError {
     /// The largest estimated error after an arrival.
     farthest: Farthest,
     frames: Frames,
-    measured: Measured,
+    measured: MeasuredError,
     silence: Silence,
     /// Why the final error is by the model, if it is.
     final_by_model: Option<String>,

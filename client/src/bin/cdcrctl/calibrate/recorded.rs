@@ -10,7 +10,7 @@ use super::pairs::Pairs;
 use super::record::check_sensors;
 use super::recording::CalibrationRows;
 use super::resting::Sensors;
-use crate::recording::file::{self, Recorded};
+use crate::recording::file::{self, RecordedMessage};
 
 /// The first bytes of an MCAP file.
 const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
@@ -31,7 +31,7 @@ pub(super) fn read(path: &Path) -> anyhow::Result<(RobotDescription, Calibration
     let mut file = file::Recording::open(path)?;
     let mut records: Option<Records> = None;
     while let Some(message) = file.next_message()? {
-        if let Recorded::Telemetry(record) = message {
+        if let RecordedMessage::Telemetry(record) = message {
             let records = records.get_or_insert_with(|| Records::begin(&record));
             records.take(&record).with_context(|| name.to_string())?;
         }

@@ -44,7 +44,7 @@ impl SceneChange {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Known {
+struct KnownObstacle {
     #[serde(default)]
     time_s: f64,
     id: u32,
@@ -152,7 +152,7 @@ fn change(number: usize, value: Value) -> Result<SceneChange, String> {
         let removed: Removed = read(value)?;
         (removed.time_s, SceneAction::Remove(removed.remove))
     } else {
-        let known: Known = read(value)?;
+        let known: KnownObstacle = read(value)?;
         (known.time_s, SceneAction::Upsert(obstacle(&known)?))
     };
     if !(0.0..=DURATION_MAX_S).contains(&time_s) {
@@ -177,7 +177,7 @@ fn read<T: for<'de> Deserialize<'de>>(value: Value) -> Result<T, String> {
     })
 }
 
-fn obstacle(known: &Known) -> Result<Obstacle, String> {
+fn obstacle(known: &KnownObstacle) -> Result<Obstacle, String> {
     let shape = match known.shape.as_deref() {
         None if known.end_m.is_some() => ObstacleShape::Capsule,
         None => ObstacleShape::Sphere,

@@ -9,7 +9,7 @@ use cdcr_process::output_folder;
 use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
 use cdcr_shared_types::message::{Array, Field, Kind, Meaning, Struct, Value};
 
-use super::file::{Recorded, Recording};
+use super::file::{RecordedMessage, Recording};
 use crate::Done;
 use crate::args::ConvertOptions;
 use crate::echo::json::text_of;
@@ -94,9 +94,9 @@ impl<'a> Tables<'a> {
         Ok(true)
     }
 
-    fn take(&mut self, message: &Recorded) -> anyhow::Result<()> {
+    fn take(&mut self, message: &RecordedMessage) -> anyhow::Result<()> {
         match message {
-            Recorded::Telemetry(record) => {
+            RecordedMessage::Telemetry(record) => {
                 self.put("telemetry", &cells(&**record))?;
                 for event in events(record) {
                     let mut row = vec![("cycle".to_owned(), record.cycle.to_string())];
@@ -112,19 +112,19 @@ impl<'a> Tables<'a> {
                 }
                 Ok(())
             }
-            Recorded::Reference(chunk) => {
+            RecordedMessage::Reference(chunk) => {
                 let used = chunk.points.get(..chunk.count as usize).unwrap_or_default();
                 self.put_each("reference", &cells(&**chunk), used)
             }
-            Recorded::Obstacles(update) => {
+            RecordedMessage::Obstacles(update) => {
                 let used = update
                     .obstacles
                     .get(..update.count as usize)
                     .unwrap_or_default();
                 self.put_each("obstacles", &cells(&**update), used)
             }
-            Recorded::Status(status) => self.put("status", &cells(&**status)),
-            Recorded::Incident(incident) => self.put("incidents", &cells(&**incident)),
+            RecordedMessage::Status(status) => self.put("status", &cells(&**status)),
+            RecordedMessage::Incident(incident) => self.put("incidents", &cells(&**incident)),
         }
     }
 

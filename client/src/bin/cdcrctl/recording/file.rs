@@ -19,7 +19,7 @@ const SHORT: Duration = Duration::from_secs(1);
 
 /// A message of this project.
 #[derive(Debug)]
-pub(crate) enum Recorded {
+pub(crate) enum RecordedMessage {
     Telemetry(Box<Telemetry>),
     Reference(Box<ReferenceChunk>),
     Obstacles(Box<ObstacleUpdate>),
@@ -35,7 +35,7 @@ pub(crate) struct Recording<R = BufReader<Counted>> {
     read_bytes: Rc<Cell<u64>>,
     /// Whether the file is truncated.
     is_cut: bool,
-    progress: Option<Progress>,
+    progress: Option<ReadProgress>,
 }
 
 /// A recording of which everything that is whole is read.
@@ -62,14 +62,14 @@ impl Seek for Counted {
 }
 
 /// Shows progress on a terminal after some time.
-struct Progress {
+struct ReadProgress {
     begin: Instant,
     /// Bytes read when it was last shown.
     shown_bytes: u64,
     bar: Option<Bar>,
 }
 
-impl Progress {
+impl ReadProgress {
     fn update(&mut self, path: &Path, [read_bytes, all_bytes]: [u64; 2], elapsed: Duration) {
         if read_bytes != self.shown_bytes && elapsed > SHORT {
             self.shown_bytes = read_bytes;
@@ -122,7 +122,7 @@ impl<R: Read> Recording<R> {
             all_bytes,
             read_bytes,
             is_cut: false,
-            progress: Some(Progress {
+            progress: Some(ReadProgress {
                 begin: Instant::now(),
                 shown_bytes: 0,
                 bar: None,
@@ -158,7 +158,7 @@ impl<R: Read> Recording<R> {
     }
 
     /// The next message of this project. Other content is skipped.
-    pub(crate) fn next_message(&mut self) -> anyhow::Result<Option<Recorded>> {
+    pub(crate) fn next_message(&mut self) -> anyhow::Result<Option<RecordedMessage>> {
         loop {
             let name = self.path.display().to_string();
             let item = self
@@ -204,17 +204,17 @@ impl<R: Read> Recording<R> {
 
 /// The decoded message, if it is one of this project. A message of another version is an error that names
 /// both.
-fn decoded(message: &Message<'_>) -> anyhow::Result<Option<Recorded>> {
+fn decoded(message: &Message<'_>) -> anyhow::Result<Option<RecordedMessage>> {
     let Some(topic) = Topic::of_schema(&message.channel.schema) else {
         return Ok(None);
     };
     check_version(topic, message)?;
     Ok(Some(match topic {
-        Topic::Telemetry => Recorded::Telemetry(content(message)?),
-        Topic::Reference => Recorded::Reference(content(message)?),
-        Topic::Obstacles => Recorded::Obstacles(content(message)?),
-        Topic::Status => Recorded::Status(content(message)?),
-        Topic::Incidents => Recorded::Incident(content(message)?),
+        Topic::Telemetry => RecordedMessage::Telemetry(content(message)?),
+        Topic::Reference => RecordedMessage::Reference(content(message)?),
+        Topic::Obstacles => RecordedMessage::Obstacles(content(message)?),
+        Topic::Status => RecordedMessage::Status(content(message)?),
+        Topic::Incidents => RecordedMessage::Incident(content(message)?),
     }))
 }
 
@@ -246,7 +246,7 @@ mod tests {
     #[test]
     fn what_takes_long_shows_how_far_it_is() {
         let shows = |elapsed| {
-            let mut progress = Progress {
+            let mut progress = ReadProgress {
                 begin: Instant::now(),
                 shown_bytes: 0,
                 bar: None,

@@ -7,7 +7,7 @@ use cdcr_shared_types::{Header, Telemetry};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use super::file::{Recorded, Recording};
+use super::file::{RecordedMessage, Recording};
 use super::repair::repair;
 use super::topic::Topic;
 use crate::Done;
@@ -21,7 +21,7 @@ pub(crate) fn run(options: &InfoOptions) -> anyhow::Result<Done> {
         return repair(&options.file, || interrupt.is_raised());
     }
     let mut recording = Recording::open(&options.file)?;
-    let mut seen = Seen::default();
+    let mut seen = RecordingSummary::default();
     while let Some(message) = recording.next_message()? {
         seen.take(&message);
     }
@@ -50,8 +50,8 @@ fn millimetres(mm: f64) -> String {
 
 /// Content of a recording.
 #[derive(Debug, Default)]
-struct Seen {
-    channels: BTreeMap<&'static str, Channel>,
+struct RecordingSummary {
+    channels: BTreeMap<&'static str, ChannelSummary>,
     first_ns: Option<u64>,
     last_ns: u64,
     modes: BTreeMap<u32, u64>,
@@ -69,7 +69,7 @@ struct Seen {
 
 /// Messages of one kind.
 #[derive(Debug, Default, Serialize)]
-struct Channel {
+struct ChannelSummary {
     #[serde(rename = "messages")]
     count: u64,
     /// Missing sequence numbers, and the number of gaps.
@@ -79,7 +79,7 @@ struct Channel {
     last: HashMap<u64, u64>,
 }
 
-impl Channel {
+impl ChannelSummary {
     fn take(&mut self, header: &Header) {
         self.count += 1;
         if let Some(last) = self.last.insert(header.sender_id, header.sequence) {
@@ -90,17 +90,17 @@ impl Channel {
     }
 }
 
-impl Seen {
-    fn take(&mut self, message: &Recorded) {
+impl RecordingSummary {
+    fn take(&mut self, message: &RecordedMessage) {
         let (topic, header) = match message {
-            Recorded::Telemetry(record) => {
+            RecordedMessage::Telemetry(record) => {
                 self.take_cycle(record);
                 (Topic::Telemetry, record.header)
             }
-            Recorded::Reference(chunk) => (Topic::Reference, chunk.header),
-            Recorded::Obstacles(update) => (Topic::Obstacles, update.header),
-            Recorded::Status(status) => (Topic::Status, status.header),
-            Recorded::Incident(incident) => (Topic::Incidents, incident.header),
+            RecordedMessage::Reference(chunk) => (Topic::Reference, chunk.header),
+            RecordedMessage::Obstacles(update) => (Topic::Obstacles, update.header),
+            RecordedMessage::Status(status) => (Topic::Status, status.header),
+            RecordedMessage::Incident(incident) => (Topic::Incidents, incident.header),
         };
         let channel = self.channels.entry(topic.service().key()).or_default();
         channel.take(&header);
@@ -242,7 +242,7 @@ mod tests {
 
     #[test]
     fn a_stray_tip_is_counted_and_no_measured_error() {
-        let mut seen = Seen::default();
+        let mut seen = RecordingSummary::default();
         for (cause, x_m) in [
             (TipCause::None, 0.001),
             (TipCause::None, 0.001),
@@ -274,7 +274,7 @@ mod tests {
 
     #[test]
     fn an_error_without_the_measured_tip_is_named_so_with_the_measured_one() {
-        let mut seen = Seen::default();
+        let mut seen = RecordingSummary::default();
         for (release_ns, tip_ns) in [(10, 0), (20, 15)] {
             let mut record = Telemetry {
                 release_ns,

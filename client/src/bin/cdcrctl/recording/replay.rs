@@ -14,7 +14,7 @@ use cdcr_shared_types::message::Struct;
 use cdcr_shared_types::{Header, InputEvent, ReferenceChunk, Telemetry};
 use serde_json::json;
 
-use super::file::{Recorded, Recording};
+use super::file::{RecordedMessage, Recording};
 use super::topic::Topic;
 use super::{play, what_if};
 use crate::Done;
@@ -86,13 +86,15 @@ pub(super) fn each_cycle(
     let mut replayer = Replayer::default();
     while let Some(message) = recording.next_message()? {
         match message {
-            Recorded::Reference(chunk) => replayer.take_chunk(&chunk),
-            Recorded::Telemetry(record) => {
+            RecordedMessage::Reference(chunk) => replayer.take_chunk(&chunk),
+            RecordedMessage::Telemetry(record) => {
                 if let Some(cycle) = replayer.take_record(&record)? {
                     take(cycle, &mut replayer)?;
                 }
             }
-            Recorded::Obstacles(_) | Recorded::Status(_) | Recorded::Incident(_) => {}
+            RecordedMessage::Obstacles(_)
+            | RecordedMessage::Status(_)
+            | RecordedMessage::Incident(_) => {}
         }
     }
     while let Some(cycle) = replayer.finish_one()? {

@@ -6,7 +6,7 @@ use super::frames::Frame;
 
 /// The error according to a tip sensor, which has noise but no model: it includes errors of the estimate.
 #[derive(Debug, Default)]
-pub(super) struct Measured {
+pub(super) struct MeasuredError {
     /// Reference at the newest releases \[ns, m\], oldest first.
     reference: VecDeque<(u64, [f64; 3])>,
     /// The cycles since then did not track it: the next one begins anew.
@@ -45,7 +45,7 @@ const FRESH_INTERVALS: u64 = 2;
 /// Number of kept releases: enough for a sensor that is half a second late at 5 ms.
 const REMEMBERED: usize = 100;
 
-impl Measured {
+impl MeasuredError {
     /// Decides about the pending ones by a record, also by one that does not track or has no new tip.
     pub(super) fn settle(&mut self, frame: Frame, is_refused: bool) {
         if is_refused {

@@ -9,7 +9,7 @@ use anyhow::ensure;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{ChunkMode, Mode, ReferenceState};
 
-use crate::recording::file::{Recorded, Recording};
+use crate::recording::file::{RecordedMessage, Recording};
 use crate::standing::distance_m;
 
 /// From a beginning farther away than this, the tip is visibly beside the reference for a while \[m\].
@@ -41,10 +41,10 @@ impl Pieces {
         let mut pieces = Self::from_tip(tip_m);
         while let Some(message) = recording.next_message()? {
             match message {
-                Recorded::Reference(chunk) => {
+                RecordedMessage::Reference(chunk) => {
                     pieces.is_sent |= chunk.mode == ChunkMode::Replace.code();
                 }
-                Recorded::Telemetry(record) => pieces.take(&record),
+                RecordedMessage::Telemetry(record) => pieces.take(&record),
                 _ => {}
             }
         }

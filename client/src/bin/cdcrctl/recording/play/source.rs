@@ -5,7 +5,7 @@ use cdcr_shared_types::codes::{EventKind, Mode, ObstacleAction, Outcome, Reason}
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{ObstacleUpdate, ReferenceChunk, Telemetry};
 
-use crate::recording::file::{Recorded, Recording};
+use crate::recording::file::{RecordedMessage, Recording};
 
 /// Time by which the recording is read ahead \[ns\]: the outcome of a message follows the message.
 pub(super) const READ_AHEAD_NS: u64 = 1_000_000_000;
@@ -24,7 +24,7 @@ pub(super) struct Source {
     pub(super) recording: Recording,
     first: Option<First>,
     /// Messages before the first cycle: their times are relative to it.
-    early: Vec<Recorded>,
+    early: Vec<RecordedMessage>,
     /// Steps by the time since the first cycle and the order in the file: references, and all others.
     references: BTreeMap<(u64, u64), Step>,
     others: BTreeMap<(u64, u64), Step>,
@@ -110,29 +110,31 @@ impl Source {
         self.is_ended && is_empty && since_ns >= self.read_ns
     }
 
-    fn take(&mut self, message: Recorded) {
+    fn take(&mut self, message: RecordedMessage) {
         let Some(first) = self.first else {
             match message {
-                Recorded::Telemetry(record) => self.begin(&record),
-                Recorded::Reference(_) | Recorded::Obstacles(_) => self.early.push(message),
-                Recorded::Status(_) | Recorded::Incident(_) => {}
+                RecordedMessage::Telemetry(record) => self.begin(&record),
+                RecordedMessage::Reference(_) | RecordedMessage::Obstacles(_) => {
+                    self.early.push(message);
+                }
+                RecordedMessage::Status(_) | RecordedMessage::Incident(_) => {}
             }
             return;
         };
         match message {
-            Recorded::Telemetry(record) => self.take_record(&record, first.release_ns),
-            Recorded::Reference(chunk) => {
+            RecordedMessage::Telemetry(record) => self.take_record(&record, first.release_ns),
+            RecordedMessage::Reference(chunk) => {
                 let since_ns = chunk.header.sent_ns.saturating_sub(first.release_ns);
                 let key = (since_ns, self.number());
                 let step = Step::Chunk(chunk, first.release_ns);
                 self.references.insert(key, step);
             }
-            Recorded::Obstacles(update) => {
+            RecordedMessage::Obstacles(update) => {
                 let since_ns = update.header.sent_ns.saturating_sub(first.release_ns);
                 let step = Step::Obstacles(update, first.release_ns);
                 self.insert(since_ns, step);
             }
-            Recorded::Status(_) | Recorded::Incident(_) => {}
+            RecordedMessage::Status(_) | RecordedMessage::Incident(_) => {}
         }
     }
 

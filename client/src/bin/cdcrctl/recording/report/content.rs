@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 use super::columns::{Columns, Merge};
 use super::happened::Happened;
 use super::histogram::Histogram;
-use crate::recording::file::{Recorded, Recording};
+use crate::recording::file::{RecordedMessage, Recording};
 use crate::tip_error::TipError;
 
 /// Columns of the curves: more than a screen has, and few enough for a page below 5 MB with six sections.
@@ -90,9 +90,9 @@ impl Merge for ColumnScene {
 }
 
 impl Content {
-    pub(super) fn take(&mut self, message: &Recorded) -> anyhow::Result<()> {
+    pub(super) fn take(&mut self, message: &RecordedMessage) -> anyhow::Result<()> {
         match message {
-            Recorded::Telemetry(record) => {
+            RecordedMessage::Telemetry(record) => {
                 if self.cycles.is_none() {
                     self.cycles = Some(Cycles::begin(record)?);
                 }
@@ -100,7 +100,7 @@ impl Content {
                     cycles.take(record);
                 }
             }
-            Recorded::Status(status) => {
+            RecordedMessage::Status(status) => {
                 self.robot_name = text(&status.robot_name);
                 self.link = RobotLink::text_of(status.link);
                 self.daemon = text(&status.build);
@@ -430,7 +430,7 @@ mod tests {
     fn a_page_of_five_minutes_of_the_largest_robot_is_below_5_mb() {
         let mut content = Content::default();
         for cycle in 0..60_000 {
-            let message = Recorded::Telemetry(Box::new(record(cycle)));
+            let message = RecordedMessage::Telemetry(Box::new(record(cycle)));
             content.take(&message).expect("a robot");
         }
         let json = content.cycles.expect("cycles").json();
@@ -448,7 +448,7 @@ mod tests {
             let mut record = record(cycle);
             record.clearance_m = if cycle == 5000 { -0.01 } else { 0.02 };
             record.position_error_m = if cycle < 100 { f64::NAN } else { 1e-3 };
-            let message = Recorded::Telemetry(Box::new(record));
+            let message = RecordedMessage::Telemetry(Box::new(record));
             content.take(&message).expect("a robot");
         }
         let json = content.cycles.expect("cycles").json();
