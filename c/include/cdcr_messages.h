@@ -505,13 +505,13 @@ typedef struct CdcrSolverSettings {
     uint32_t coordinates;
     /* 8: Prediction steps N. */
     uint32_t horizon_steps;
-    /* 12: Control blocks M ≤ N, limited by the plan size; 0 means M = N. */
+    /* 12: Control blocks M, and at most N; 0: one per step. */
     uint32_t control_blocks;
-    /* 16: Particles. */
+    /* 16: Particles of the swarm. */
     uint32_t swarm_size;
     /* 20: Iterations of the swarm. */
     uint32_t swarm_iterations;
-    /* 24: Iterations without improvement after which the swarm is regenerated; 0: never. */
+    /* 24: Iterations without improvement before the swarm is regenerated; 0: never. */
     uint32_t regenerate_after;
     /* 28: CdcrVelocityRule. */
     uint32_t velocity_rule;
@@ -519,33 +519,33 @@ typedef struct CdcrSolverSettings {
     uint32_t refinement_steps;
     /* 36: Zero. */
     uint32_t reserved;
-    /* 40: Inertia w of the swarm. */
+    /* 40: Inertia weight w. */
     double inertia;
-    /* 48: Cognitive coefficient c₁. */
+    /* 48: Coefficient c1 of Eq. 6, the weight of a particle's own best. */
     double cognitive;
-    /* 56: Social coefficient c₂. */
+    /* 56: Coefficient c2 of Eq. 6, the weight of the swarm's best. */
     double social;
-    /* 64: Damping λ of the Gauss-Newton step [m²] in the cost's own scale. */
+    /* 64: Damping of the Gauss-Newton steps [m²]. */
     double damping;
-    /* 72: 1/m². Weight of the squared position error, per m². */
+    /* 72: 1/m². Weight of the squared position error in the cost (Eq. 5), per m². */
     double position_weight;
     /* 80: 1/rad². Weight of the squared orientation error, per rad². */
     double orientation_weight;
-    /* 88: Orientation error that costs nothing [rad]. */
+    /* 88: Orientation error without cost [rad]. */
     double orientation_tolerance_rad;
     /* 96: s²/rad². Weight of the squared rates, per (rad/s)². */
     double rate_weight;
-    /* 104: s²/rad². Weight of the squared change of rates between blocks, per (rad/s)². */
+    /* 104: s²/rad². Weight of the squared changes of rates, per (rad/s)². */
     double rate_change_weight;
-    /* 112: Extra weight of the last step, ω of Eq. 5: 1 counts it once. */
+    /* 112: Factor on the error cost of the last step. */
     double terminal_weight;
-    /* 120: Distance that the body keeps from obstacles [m]. */
+    /* 120: Safe distance between body and obstacles [m]. */
     double safe_distance_m;
-    /* 128: Penalty on entering the safe distance, per violated step. */
+    /* 128: Penalty in the solver's cost for each step inside the safe distance. */
     double obstacle_step_penalty;
-    /* 136: 1/m. Penalty on the depth inside the safe distance, per m. */
+    /* 136: 1/m. Penalty in the solver's cost per m of depth inside the safe distance. */
     double obstacle_slope_penalty;
-    /* 144: 1/m². Penalty on the square of the depth, per m². */
+    /* 144: 1/m². Penalty in the solver's cost per m² of squared depth inside the safe distance. */
     double obstacle_square_penalty;
     /* 152: Time that a solve may take [ns]; 0: what is left of the period less the margin. */
     uint64_t budget_ns;

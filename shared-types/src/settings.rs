@@ -4,7 +4,8 @@ message! {
     /// Settings of the optimal control problem and its solver.
     ///
     /// They travel in a settings request, in the status, and in every telemetry record, so that a record is complete.
-    /// Ranges are those of `configs/default.toml`; a request outside them is rejected.
+    /// Meaning and range of each are those of the key of the same name in `configs/default.toml`; a request outside the ranges
+    /// is rejected.
     pub struct SolverSettings "cdcr.SolverSettings.v1" {
         /// [`codes::SolverKind`](crate::codes::SolverKind).
         solver: u32 [code SolverKind],
@@ -12,13 +13,13 @@ message! {
         coordinates: u32 [code Coordinates],
         /// Prediction steps N.
         horizon_steps: u32,
-        /// Control blocks M ≤ N, limited by the plan size; 0 means M = N.
+        /// Control blocks M, and at most N; 0: one per step.
         control_blocks: u32,
-        /// Particles.
+        /// Particles of the swarm.
         swarm_size: u32,
         /// Iterations of the swarm.
         swarm_iterations: u32,
-        /// Iterations without improvement after which the swarm is regenerated; 0: never.
+        /// Iterations without improvement before the swarm is regenerated; 0: never.
         regenerate_after: u32,
         /// [`codes::VelocityRule`](crate::codes::VelocityRule).
         velocity_rule: u32 [code VelocityRule],
@@ -26,33 +27,33 @@ message! {
         refinement_steps: u32,
         /// Zero.
         reserved: u32 [reserved],
-        /// Inertia w of the swarm.
+        /// Inertia weight w.
         inertia: f64,
-        /// Cognitive coefficient c₁.
+        /// Coefficient c1 of Eq. 6, the weight of a particle's own best.
         cognitive: f64,
-        /// Social coefficient c₂.
+        /// Coefficient c2 of Eq. 6, the weight of the swarm's best.
         social: f64,
-        /// Damping λ of the Gauss-Newton step \[m²\] in the cost's own scale.
+        /// Damping of the Gauss-Newton steps \[m²\].
         damping: f64 [unit "m²"],
-        /// Weight of the squared position error, per m².
+        /// Weight of the squared position error in the cost (Eq. 5), per m².
         position_weight: f64 [unit "1/m²"],
         /// Weight of the squared orientation error, per rad².
         orientation_weight: f64 [unit "1/rad²"],
-        /// Orientation error that costs nothing \[rad\].
+        /// Orientation error without cost \[rad\].
         orientation_tolerance_rad: f64,
         /// Weight of the squared rates, per (rad/s)².
         rate_weight: f64 [unit "s²/rad²"],
-        /// Weight of the squared change of rates between blocks, per (rad/s)².
+        /// Weight of the squared changes of rates, per (rad/s)².
         rate_change_weight: f64 [unit "s²/rad²"],
-        /// Extra weight of the last step, ω of Eq. 5: 1 counts it once.
+        /// Factor on the error cost of the last step.
         terminal_weight: f64,
-        /// Distance that the body keeps from obstacles \[m\].
+        /// Safe distance between body and obstacles \[m\].
         safe_distance_m: f64,
-        /// Penalty on entering the safe distance, per violated step.
+        /// Penalty in the solver's cost for each step inside the safe distance.
         obstacle_step_penalty: f64,
-        /// Penalty on the depth inside the safe distance, per m.
+        /// Penalty in the solver's cost per m of depth inside the safe distance.
         obstacle_slope_penalty: f64 [unit "1/m"],
-        /// Penalty on the square of the depth, per m².
+        /// Penalty in the solver's cost per m² of squared depth inside the safe distance.
         obstacle_square_penalty: f64 [unit "1/m²"],
         /// Time that a solve may take \[ns\]; 0: what is left of the period less the margin.
         budget_ns: u64,

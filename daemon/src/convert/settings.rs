@@ -54,7 +54,8 @@ mod tests {
     use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
     use cdcr_controller::optimizer::VelocityRule;
     use cdcr_controller::parameters::UserParameter;
-    use cdcr_shared_types::{SolverSettings, codes};
+    use cdcr_shared_types::message::Meaning;
+    use cdcr_shared_types::{SolverSettings, codes, declared};
 
     /// Every choice as in a configuration and as in a message.
     macro_rules! choices {
@@ -66,7 +67,7 @@ mod tests {
     }
 
     #[test]
-    fn choices_and_units_are_the_same_in_configuration_and_messages() {
+    fn choices_units_and_texts_are_the_same_in_configuration_and_messages() {
         cdcr_shared_types::solver_settings!(choices);
         for kind in SolverKind::ALL {
             assert_eq!(serde_json::json!(kind), kind.name());
@@ -75,6 +76,16 @@ mod tests {
             let mut parameters = NmpcSettings::PARAMETERS.iter();
             let parameter = parameters.find(|parameter| parameter.name == field.name);
             let unit = parameter.map_or("", UserParameter::unit);
+            // A code has a text for each value.
+            if let Some(parameter) = parameter
+                && !matches!(field.meaning, Meaning::Code(_))
+            {
+                let text = parameter.doc.concat().replace(", {range}", "");
+                let words = declared::words(field.doc);
+                let words = words.split(" [").next().unwrap_or_default();
+                let words = words.trim_end_matches('.');
+                assert!(text.trim().starts_with(words), "{text}: {words}");
+            }
             let has_unit_elsewhere = parameter.is_none() && !field.unit.is_empty();
             assert!(
                 !has_unit_elsewhere || field.name == "budget_ns",
