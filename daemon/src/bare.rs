@@ -29,8 +29,6 @@ use crate::rt::scheduler::{SchedulerDeltas, this_thread};
 use crate::start::{self, Started, abandon_threads, arm, end_signals};
 use crate::system::with_core;
 
-/// Columns of the output of `cdcrd bare --format csv`.
-pub const COLUMNS: &str = "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,run_delay_ns,page_faults,cause";
 /// Largest number of recorded cycles: 800 MB of memory.
 pub const CYCLES_MAX: u64 = 10_000_000;
 /// Time between two checks of the main thread for the end of the loop.

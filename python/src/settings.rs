@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use cdcr_client::model::settings_of;
 use cdcr_controller::nmpc::{NmpcSettings, RateWeight};
 use cdcr_shared_types::SolverSettings;
+use cdcr_shared_types::limits::PERIOD_MS_MAX;
 use cdcr_shared_types::message::{Meaning, Struct, ValueMut};
 use pyo3::inspect::PyStaticExpr;
 use pyo3::prelude::*;
@@ -17,9 +18,6 @@ use toml::{Table, Value};
 
 use crate::errors::{Class, Failure, REPORT};
 use crate::numbers::within;
-
-/// Largest time budget [ms]: the longest period of a daemon, which checks its own.
-const BUDGET_MS_MAX: f64 = 100.0;
 
 /// The defaults with the changes of a dictionary, checked.
 pub(crate) fn settings(given: Option<&Bound<'_, PyDict>>) -> PyResult<NmpcSettings> {
@@ -167,7 +165,7 @@ pub(crate) fn changed(
         change(&mut wire, &settings)?;
     }
     if let Some(budget_ms) = budget_ms {
-        let budget_ms = within("budget_ms", budget_ms, 0.0..=BUDGET_MS_MAX)?;
+        let budget_ms = within("budget_ms", budget_ms, 0.0..=PERIOD_MS_MAX as f64)?;
         wire.budget_ns = (budget_ms * 1e6).round() as u64;
     }
     Ok(wire)

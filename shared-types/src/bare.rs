@@ -1,4 +1,4 @@
-//! The output of `cdcrd bare --format json`, declared once for its writer and its readers.
+//! The output of `cdcrd bare`, declared once for its writer and its readers.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::LatencySummary;
 
-/// Summary of a bare loop.
+/// Columns of `cdcrd bare --format csv`.
+pub const BARE_COLUMNS: &str = "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,run_delay_ns,page_faults,cause";
+
+/// Summary of a bare loop, for `--format json`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct BareSummary {
     /// Period \[ns\].

@@ -60,7 +60,7 @@ pub mod shm_space;
 mod status;
 mod telemetry;
 
-pub use bare::BareSummary;
+pub use bare::{BARE_COLUMNS, BareSummary};
 pub use command::Command;
 pub use control::{Request, Response};
 pub use counted::counted;

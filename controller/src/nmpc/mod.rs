@@ -261,8 +261,8 @@ impl Nmpc {
         self.memory.restored_periods = 0;
     }
 
-    /// Replaces the plan by the recorded warm start of a replay, which was already shifted by `moved_on`
-    /// periods. The next solve uses `elapsed_periods` = 0. Returns false if the length does not fit the
+    /// Replaces the plan by the recorded warm start of a replay, which was already shifted by `shifted_periods`.
+    /// The next solve uses `elapsed_periods` = 0. Returns false if the length does not fit the
     /// settings.
     pub fn restore_plan(&mut self, plan: &[f64], shifted_periods: u64) -> bool {
         let fits = plan.len() == self.memory.plan.len();

@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use cdcr_shared_types::codes::LateCause;
-use cdcr_shared_types::{BareSummary, LatencySummary};
+use cdcr_shared_types::{BARE_COLUMNS, BareSummary, LatencySummary};
 use clap::{Args, ValueEnum};
 
 use super::{ConfigSource, end_with_process};
-use crate::bare::{self, BareCycle, COLUMNS, Outcome};
+use crate::bare::{self, BareCycle, Outcome};
 
 /// Help text after the options.
 pub(super) fn after_help() -> String {
@@ -89,7 +89,7 @@ fn write(out: &mut impl Write, format: BareFormat, outcome: &Outcome) -> io::Res
 }
 
 fn write_csv(out: &mut impl Write, cycles: &[BareCycle]) -> io::Result<()> {
-    writeln!(out, "{COLUMNS}")?;
+    writeln!(out, "{BARE_COLUMNS}")?;
     for cycle in cycles {
         let release = &cycle.release;
         let (run_delay_ns, page_faults) = match cycle.interference {
@@ -253,7 +253,7 @@ mod tests {
     #[test]
     fn a_line_of_csv_for_each_cycle_and_nothing_where_nothing_is_reported() {
         let expected = [
-            COLUMNS,
+            BARE_COLUMNS,
             "3,200,310,350,1,1,0,70,2,2",
             "3,200,310,350,1,1,0,,,4",
         ];

@@ -19,7 +19,7 @@ pub(super) struct CycleWatch {
 }
 
 impl CycleWatch {
-    /// Watches the thread with id `thread`; with `None`, `look` always returns `None`.
+    /// Watches the thread with id `thread`; with `None`, `read` always returns `None`.
     pub(super) fn new(thread: Option<u32>) -> Self {
         Self {
             scheduler: SchedulerDeltas::new(thread),

@@ -90,10 +90,9 @@ fn cycle(row: &BaselineRow) -> Result<Cycle> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use cdcr_shared_types::BARE_COLUMNS;
 
-    const HEAD: &str = "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,\
-                        run_delay_ns,page_faults,cause\n";
+    use super::*;
 
     #[test]
     fn times_are_counted_from_their_release() {
@@ -118,12 +117,15 @@ mod tests {
             run_delay_ns: 0,
             ..first
         };
-        assert_eq!(cycles(&format!("{HEAD}{rows}")).unwrap(), [first, second]);
+        assert_eq!(
+            cycles(&format!("{BARE_COLUMNS}\n{rows}")).unwrap(),
+            [first, second]
+        );
     }
 
     #[test]
     fn what_another_version_writes_is_refused() {
-        let unknown_cause = format!("{HEAD}3,200,310,350,1,1,0,70,2,99\n");
+        let unknown_cause = format!("{BARE_COLUMNS}\n3,200,310,350,1,1,0,70,2,99\n");
         for text in ["due_ns,start_ns\n1,2\n", &unknown_cause] {
             let error = format!("{:#}", cycles(text).unwrap_err());
             assert!(error.contains("same version"), "{error}");

@@ -67,10 +67,9 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
         let positions = || dry_run::compute_positions(&connection, &*trajectory, &feed);
         demands.check_orientation(allowed_m, positions)?;
         demands.check(allowed_m)?;
-        if arguments.blend {
-            return Ok(Done::Good);
+        if !arguments.blend {
+            note_distance(&newest(&connection)?, &*trajectory);
         }
-        note_distance(&newest(&connection)?, &*trajectory);
         return Ok(Done::Good);
     }
     let before = newest(&connection)?;
@@ -79,17 +78,16 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
         let settings = settings_of(&before.settings)?;
         dry_run::check_speed(&before, settings, &*trajectory, &feed, allowed_m)?;
     }
-    if arguments.track && !arguments.blend {
-        note_distance(&before, &*trajectory);
-    }
-    if !arguments.blend {
-        unmeasured_tip::warn_now(&connection);
-    }
     if arguments.blend {
         let done = blend(&connection, arguments, &*trajectory)?;
         if done != Done::Good {
             return Ok(done);
         }
+    } else {
+        if arguments.track {
+            note_distance(&before, &*trajectory);
+        }
+        unmeasured_tip::warn_now(&connection);
     }
     let (done, mut error) = follow(&connection, &*trajectory, feed, |_| Ok(()))?;
     if done == Done::Good {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;
 
-use cdcr_daemon::bare::COLUMNS;
+use cdcr_shared_types::BARE_COLUMNS;
 use cdcr_shared_types::codes::LateCause;
 use cdcr_tests::threads::find_thread;
 use cdcr_tests::{Place, Program, text, wait_until};
@@ -32,13 +32,13 @@ struct Line {
 
 fn lines(csv: &str) -> Vec<Line> {
     let mut lines = csv.lines();
-    assert_eq!(lines.next(), Some(COLUMNS));
+    assert_eq!(lines.next(), Some(BARE_COLUMNS));
     lines.map(line).collect()
 }
 
 fn line(line: &str) -> Line {
     let columns: Vec<&str> = line.split(',').collect();
-    assert_eq!(columns.len(), COLUMNS.split(',').count(), "{line}");
+    assert_eq!(columns.len(), BARE_COLUMNS.split(',').count(), "{line}");
     let number = |index: usize| columns[index].parse::<u64>().unwrap();
     let flag = |index: usize| match columns[index] {
         "0" => false,

@@ -4,7 +4,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, ensure};
-use cdcr_client::Connection;
+use cdcr_client::{Connection, STATUS_TIMEOUT};
 use cdcr_process::{PlacedDaemon, PrivatePlace, program};
 use cdcr_shared_types::Location;
 
@@ -55,7 +55,7 @@ impl DemoDaemon {
     pub(super) fn connect(&mut self, interrupt: &Interrupt) -> anyhow::Result<Option<Connection>> {
         let connect = |location: &Location| {
             let connection = Connection::open(location, ROBOT)?;
-            let status = connection.status(Duration::from_secs(1))?;
+            let status = connection.status(STATUS_TIMEOUT)?;
             Ok((connection, status))
         };
         let check = || undisturbed(interrupt);
