@@ -2,9 +2,9 @@
 
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::reference;
-use cdcr_shared_types::codes::{Interpolation, OrientationKind};
+use cdcr_shared_types::codes::{Interface, Interpolation, OrientationKind};
 pub use cdcr_shared_types::model::{obstacle_of, robot_of, settings_of};
-use cdcr_shared_types::{ReferenceChunk, ReferencePoint, SolverSettings, Status, model};
+use cdcr_shared_types::{ReferenceChunk, ReferencePoint, SolverSettings, Status, Telemetry, model};
 
 use crate::Orientation;
 
@@ -28,6 +28,15 @@ pub fn reference_points(chunk: &ReferenceChunk) -> Option<Vec<reference::Referen
 pub fn orientation_of(orientation: Orientation) -> reference::Orientation {
     let (kind, numbers) = orientation.to_wire();
     model::orientation_of(kind, numbers)
+}
+
+/// Time for which the command of a record moves the robot \[ns\]. A position command ends with its period.
+pub fn moving_ns(record: &Telemetry) -> u64 {
+    if record.command.interface == Interface::Position.code() {
+        return record.period_ns;
+    }
+    let until_ns = record.command.valid_until_ns;
+    until_ns.saturating_sub(record.release_ns)
 }
 
 /// The bound that refused settings break, beyond the ranges of the single ones: of the daemon's configuration, or of another

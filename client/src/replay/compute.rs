@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 use super::check::Check;
 use super::reference::Reference;
 use super::{Outcome, ReplayError};
-use crate::model::{obstacle_of, settings_of};
+use crate::model::{moving_ns, obstacle_of, settings_of};
 use crate::obstacles;
 
 /// Steps of a recomputed cycle.
@@ -219,12 +219,6 @@ impl Computer {
         slack: Option<&Slack>,
     ) -> SafeCommand {
         let obeys_positions = record.command.interface == Interface::Position.code();
-        let moving_ns = if obeys_positions {
-            record.period_ns
-        } else {
-            let until_ns = record.command.valid_until_ns;
-            until_ns.saturating_sub(record.release_ns)
-        };
         let motors = Some(&state.motors).filter(|motors| **motors != state.at);
         let situation = Situation {
             robot: &self.robot,
@@ -245,7 +239,7 @@ impl Computer {
             tip_offset_m: state.tip_margin_m,
             acceleration_rad_s2: record.acceleration_rad_s2,
             period_s: state.period_s,
-            moving_s: moving_ns as f64 * 1e-9,
+            moving_s: moving_ns(record) as f64 * 1e-9,
             deceleration_rad_s2: record.deceleration_rad_s2,
             comes_to_rest,
         };

@@ -19,14 +19,13 @@ use std::io::Write;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use cdcr_client::model::{obstacle_of, robot_of, settings_of};
+use cdcr_client::model::{moving_ns, obstacle_of, robot_of, settings_of};
 use cdcr_client::{Connection, FeedOptions, Orientation, Trajectory, obstacles};
 use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
 use cdcr_controller::reference::{self, Approach};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot};
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::Interface;
 use nalgebra::Vector3;
 
 use crate::bar::Bar;
@@ -158,16 +157,7 @@ pub(crate) fn simulate(
     let at_s = |time_s: f64| points.sample((time_s * 1e9) as u64).moved(&offset_m);
     let known: Vec<Obstacle> = obstacles(record).iter().filter_map(obstacle_of).collect();
     let mut nmpc = Nmpc::new(robot.clone(), period_s, settings)?;
-    // A position command ends with its period.
-    let valid_ns = if record.command.interface == Interface::Position.code() {
-        record.period_ns
-    } else {
-        record
-            .command
-            .valid_until_ns
-            .saturating_sub(record.release_ns)
-    };
-    let valid_periods = valid_ns as f64 / record.period_ns as f64;
+    let valid_periods = moving_ns(record) as f64 / record.period_ns as f64;
 
     let first = |_: f64| at_s(0.0);
     let mut way = ClosedLoop::new(&robot, period_s, settings, here, &known, first)?
