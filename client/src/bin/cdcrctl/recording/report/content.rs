@@ -386,10 +386,10 @@ fn finite(value: f64) -> Value {
 
 #[cfg(test)]
 mod tests {
-    use cdcr_shared_types::SectionDescription;
     use cdcr_shared_types::limits::{OBSTACLES_MAX, SECTIONS_MAX};
 
     use super::*;
+    use crate::dry_run::tests::robot;
 
     /// A cycle of the largest robot with the maximum number of obstacles, all moving.
     fn record(cycle: u64) -> Telemetry {
@@ -399,19 +399,9 @@ mod tests {
             period_ns: 5_000_000,
             mode: Mode::Tracking.code(),
             obstacle_count: OBSTACLES_MAX as u32,
+            robot: robot(SECTIONS_MAX as u32),
             ..Telemetry::default()
         };
-        record.robot.sections = SECTIONS_MAX as u32;
-        record.robot.cable_speed_max_m_s = 1.0;
-        record.robot.cable_stroke_max_m = 0.5;
-        record.robot.section = [SectionDescription {
-            length_m: 0.3,
-            cable_radius_m: 0.01,
-            bend_max_rad: 2.0,
-            rate_max_rad_s: 2.0,
-            body_radius_m: 0.01,
-            ..Default::default()
-        }; SECTIONS_MAX];
         let noise = |k: usize| (cycle as f64 * 12.9898 + k as f64 * 78.233).sin();
         record.present_rad = core::array::from_fn(noise);
         record.commanded_rad = core::array::from_fn(noise);

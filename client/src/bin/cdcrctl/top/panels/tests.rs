@@ -1,24 +1,14 @@
+use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::{LateCause, SolverStatus, timing};
-use cdcr_shared_types::{Obstacle, RobotDescription};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
 use super::*;
+use crate::dry_run::tests::robot;
 
 /// Two seconds of a robot with three sections that moves along x, with an obstacle at its tip and one late
 /// cycle.
 fn seen() -> Seen {
-    let mut robot = RobotDescription {
-        sections: 3,
-        cable_speed_max_m_s: 1.0,
-        cable_stroke_max_m: 0.5,
-        ..RobotDescription::default()
-    };
-    for section in &mut robot.section[..3] {
-        (section.length_m, section.cable_radius_m) = (0.3, 0.02);
-        (section.bend_max_rad, section.rate_max_rad_s) = (1.5, 4.0);
-        section.body_radius_m = 0.01;
-    }
     let mut seen = Seen::default();
     for k in 0..400_u64 {
         let mut record = Telemetry {
@@ -33,7 +23,7 @@ fn seen() -> Seen {
             mode: Mode::Tracking.code(),
             position_error_m: 1e-5,
             obstacle_count: 1,
-            robot,
+            robot: robot(3),
             ..Telemetry::default()
         };
         record.report.status = SolverStatus::Converged.code();
