@@ -45,15 +45,7 @@ impl Done {
             ],
             Load::Clients => vec![("clients", self.clients)],
             Load::Flood => vec![("chunks", self.chunks), ("updates", self.updates)],
-            Load::All => [
-                Load::Cpu,
-                Load::Memory,
-                Load::Io,
-                Load::Clients,
-                Load::Flood,
-            ]
-            .map(|part| self.of_load(part))
-            .concat(),
+            Load::All => Load::PARTS.map(|part| self.of_load(part)).concat(),
             Load::CpuEverywhere => [self.of_load(Load::Cpu), self.of_load(Load::Memory)].concat(),
             Load::StressNg => vec![("stress_operations", self.stress_operations)],
         }

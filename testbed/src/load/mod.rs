@@ -75,6 +75,15 @@ impl Load {
         Self::CpuEverywhere,
     ];
 
+    /// The parts of [`Load::All`].
+    const PARTS: [Self; 5] = [
+        Self::Cpu,
+        Self::Memory,
+        Self::Io,
+        Self::Clients,
+        Self::Flood,
+    ];
+
     /// The name on the command line and in JSON.
     pub fn name(self) -> &'static str {
         match self {

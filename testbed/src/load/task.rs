@@ -112,15 +112,8 @@ pub(super) fn tasks(load: Load, cores: &Cores, target: Option<&Location>) -> Res
         Load::Clients => on_others(vec![Job::Visit(target()?); visitors::COMERS as usize]),
         Load::Flood => on_others(vec![Job::References(target()?), Job::Obstacles(target()?)]),
         Load::All => {
-            let parts = [
-                Load::Cpu,
-                Load::Memory,
-                Load::Io,
-                Load::Clients,
-                Load::Flood,
-            ];
             let target = target()?;
-            let parts = parts.map(|part| tasks(part, cores, Some(&target)));
+            let parts = Load::PARTS.map(|part| tasks(part, cores, Some(&target)));
             parts.into_iter().collect::<Result<Vec<_>>>()?.concat()
         }
         Load::CpuEverywhere => {
