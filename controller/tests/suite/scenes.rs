@@ -143,11 +143,7 @@ fn bend_angles_leave_straight_in_any_direction() {
     let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
     let there = Configuration::from_bend_angles(&[[0.4, 1.9]]);
     let goal = inside(robot.tip_position(&there));
-    for solver in [
-        SolverKind::GaussNewton,
-        SolverKind::Kpso,
-        SolverKind::KpsoRefined,
-    ] {
+    for solver in SolverKind::ALL {
         let settings = NmpcSettings {
             solver,
             coordinates: Coordinates::BendAngles,
