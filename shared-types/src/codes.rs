@@ -206,6 +206,15 @@ wire_enum! {
     }
 }
 
+impl Mode {
+    /// Whether only a reset lets the robot move in the mode with this code.
+    pub fn is_latched(code: u32) -> bool {
+        [Self::Stopped, Self::Faulted]
+            .map(Self::code)
+            .contains(&code)
+    }
+}
+
 wire_enum! {
     ($ reasons)
     /// Reason for the mode of the daemon.

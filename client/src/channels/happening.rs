@@ -31,7 +31,7 @@ pub fn happenings(record: &Telemetry, before: Option<&Telemetry>) -> Vec<Happeni
     let mut add = |level, text| found.push(Happening { text, level });
     if before.is_none_or(|before| (before.mode, before.reason) != (record.mode, record.reason)) {
         let (mode, reason) = (Mode::text_of(record.mode), Reason::text_of(record.reason));
-        let level = if is_latched(record.mode) {
+        let level = if Mode::is_latched(record.mode) {
             Level::Error
         } else {
             Level::Info
@@ -68,15 +68,9 @@ pub fn happenings(record: &Telemetry, before: Option<&Telemetry>) -> Vec<Happeni
 
 /// The difference of a pose that the reset in this cycle accepted.
 fn accepted_pose(record: &Telemetry, before: &Telemetry) -> Option<PoseDifference> {
-    let [was_latched, is_latched] = [before, record].map(|record| is_latched(record.mode));
+    let [was_latched, is_latched] = [before, record].map(|record| Mode::is_latched(record.mode));
     (was_latched && !is_latched && record.pose_differs != 0)
         .then(|| PoseDifference::of_errors(&record.following_error_rad))
-}
-
-fn is_latched(mode: u32) -> bool {
-    [Mode::Faulted, Mode::Stopped]
-        .map(Mode::code)
-        .contains(&mode)
 }
 
 #[cfg(test)]

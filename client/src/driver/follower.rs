@@ -458,9 +458,7 @@ impl CommandFollower {
 }
 
 fn rests(command: &Command) -> bool {
-    [Mode::Stopped, Mode::Faulted]
-        .map(Mode::code)
-        .contains(&command.mode)
+    Mode::is_latched(command.mode)
 }
 
 /// It acts on the measurements of another driver than `own_id`.

@@ -255,8 +255,8 @@ impl Supervisor {
                 tracing::info!(cycle = summary.cycle, reason, "{mode}: {reason}");
             }
         }
-        let was_latched = matches!(self.newest.mode, Mode::Stopped | Mode::Faulted);
-        let is_latched = matches!(summary.mode, Mode::Stopped | Mode::Faulted);
+        let was_latched = Mode::is_latched(self.newest.mode.code());
+        let is_latched = Mode::is_latched(summary.mode.code());
         if was_latched && !is_latched && summary.pose_differs {
             let pose = accepted_pose(&summary.following);
             tracing::warn!(

@@ -10,9 +10,8 @@ use crate::dry_run::{newest, robot_and_pose};
 
 /// What to do about the cause of a stop or fault, which only a reset ends.
 pub(crate) fn stop_remedy(status: &Status) -> Option<&'static str> {
-    let mode = Mode::try_from(status.mode).ok()?;
     let reason = Reason::try_from(status.reason).ok()?;
-    matches!(mode, Mode::Stopped | Mode::Faulted).then(|| reason_remedy(reason))
+    Mode::is_latched(status.mode).then(|| reason_remedy(reason))
 }
 
 /// What to do where the robot cannot be moved: stopped, faulted, or not yet measured.

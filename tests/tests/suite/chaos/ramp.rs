@@ -69,10 +69,7 @@ pub(crate) fn is_first_measurement(before: &Telemetry, record: &Telemetry) -> bo
 /// Whether control may restart in a record: a latched mode was left, and the robot has not come to rest
 /// since.
 pub(crate) fn control_may_begin(before: &Telemetry, record: &Telemetry) -> bool {
-    let is_latched = |record: &Telemetry| {
-        let latched = [Mode::Stopped, Mode::Faulted].map(Mode::code);
-        latched.contains(&record.mode)
-    };
+    let is_latched = |record: &Telemetry| Mode::is_latched(record.mode);
     !is_latched(record) && (is_latched(before) || record.control_begins != 0)
 }
 

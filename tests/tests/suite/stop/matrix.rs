@@ -269,7 +269,7 @@ impl Stage<'_> {
         for words in ["not confirmed", words] {
             assert!(has_ended || printed.contains(words), "{words}: {printed}");
         }
-        if matches!(mode, Mode::Faulted | Mode::Stopped) {
+        if Mode::is_latched(mode.code()) {
             return None;
         }
         let (_, stopped) = self.trail.until("stopped", is(Mode::Stopped));

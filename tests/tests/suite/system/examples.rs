@@ -124,10 +124,7 @@ fn run(daemon: &Daemon, line: &str) -> Result<(), String> {
     let output = program.output();
     place.cdcrctl(&["obstacle", "clear"]);
     let status = connection.status(cdcr_tests::TIMEOUT).unwrap();
-    if [Mode::Stopped, Mode::Faulted]
-        .map(Mode::code)
-        .contains(&status.mode)
-    {
+    if Mode::is_latched(status.mode) {
         place.cdcrctl(&["reset"]);
     }
     println!("$ {line}\n{}", text(&output));

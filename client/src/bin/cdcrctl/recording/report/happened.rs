@@ -39,8 +39,7 @@ impl Happened {
         let obstacles = before.map_or(0, |before| before.obstacles);
         let is_new_settings = before.is_some_and(|before| before.settings != now.settings);
         if is_new_mode {
-            let latched = [Mode::Stopped, Mode::Faulted].map(Mode::code);
-            let kind = if latched.contains(&record.mode) {
+            let kind = if Mode::is_latched(record.mode) {
                 "stop"
             } else {
                 "mode"
