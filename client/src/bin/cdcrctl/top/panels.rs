@@ -281,10 +281,7 @@ impl Screen<'_> {
         lines
     }
 
-    /// The newest events that fit, the newest last.
     fn events(&self, rows: u16) -> Vec<Line<'static>> {
-        let lines = &self.live.lines;
-        let first = lines.len().saturating_sub(usize::from(rows));
         let line = |line: &super::seen::Line| {
             let text = format!("{:>8.1} s  {}", line.time_s, line.text);
             if line.is_bad {
@@ -293,7 +290,8 @@ impl Screen<'_> {
                 Line::from(text)
             }
         };
-        lines.iter().skip(first).map(line).collect()
+        let lines = self.live.newest_lines(usize::from(rows));
+        lines.into_iter().map(line).collect()
     }
 
     fn footer(&self) -> Line<'static> {

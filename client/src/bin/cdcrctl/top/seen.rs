@@ -19,6 +19,8 @@ const KEPT_S: f64 = 10.0;
 const POINT_EVERY_S: f64 = 0.02;
 const POINTS_MAX: usize = 500;
 const LINES_MAX: usize = 200;
+/// Time for which newer events do not displace an answer \[s\].
+const ANSWER_S: f64 = 10.0;
 
 /// An event.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,6 +31,8 @@ pub(super) struct Line {
     pub(super) is_bad: bool,
     /// Whether it reports a late cycle.
     is_late: bool,
+    /// The request to which it is the newest answer.
+    answered: Option<RequestKind>,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -158,7 +162,40 @@ impl Seen {
             .map_or(self.begun_ns, |record| record.release_ns);
         let is_bad = answer.is_err();
         let text = answer.unwrap_or_else(|error| format!("{kind}: {error}"));
+        for line in &mut self.lines {
+            line.answered.take_if(|answered| *answered == kind);
+        }
         self.add_event(now_ns, text, is_bad);
+        if let Some(line) = self.lines.back_mut() {
+            line.answered = Some(kind);
+        }
+    }
+
+    /// The newest events that fit into `rows`, the newest last. Newer events displace the answers of the last
+    /// [`ANSWER_S`] only where one of these events would have no row: on a stalling machine, as many events as there are rows may come
+    /// between two pictures.
+    pub(super) fn newest_lines(&self, rows: usize) -> Vec<&Line> {
+        let newest_ns = (self.record.as_ref()).map_or(self.begun_ns, |record| record.release_ns);
+        let since_s = self.time_s(newest_ns) - ANSWER_S;
+        let stays = |line: &&Line| line.answered.is_some() && line.time_s > since_s;
+        let answers = self.lines.iter().filter(stays).count();
+        let mut room = rows.saturating_sub(answers).max(1);
+        let mut fits = |line: &&Line| {
+            stays(line) || {
+                let is_room = room > 0;
+                room = room.saturating_sub(1);
+                is_room
+            }
+        };
+        let newest = self.lines.iter().rev().filter(|line| fits(line));
+        let mut lines: Vec<_> = newest.take(rows).collect();
+        lines.reverse();
+        lines
+    }
+
+    /// Time since the first record \[s\].
+    fn time_s(&self, at_ns: u64) -> f64 {
+        at_ns.saturating_sub(self.begun_ns) as f64 * 1e-9
     }
 
     fn add_event(&mut self, now_ns: u64, text: impl Into<String>, is_bad: bool) {
@@ -167,12 +204,12 @@ impl Seen {
         }
         // An error may have several lines.
         let text = text.into().replace('\n', "; ");
-        let time_s = now_ns.saturating_sub(self.begun_ns) as f64 * 1e-9;
         self.lines.push_back(Line {
-            time_s,
+            time_s: self.time_s(now_ns),
             text,
             is_bad,
             is_late: false,
+            answered: None,
         });
     }
 
@@ -305,6 +342,45 @@ mod tests {
             ["hold: refused; remedy", "another daemon started"]
         );
         assert_eq!(seen.rate_hz(), None);
+    }
+
+    #[test]
+    fn an_answer_stays_for_a_while_beside_the_newest_event() {
+        let mut seen = Seen::default();
+        let mut cycles = 1..;
+        let mut pass = |seen: &mut Seen, count, changes: bool| {
+            for cycle in cycles.by_ref().take(count) {
+                let mut record = record(cycle, 1);
+                record.obstacle_count = u32::from(changes) * (cycle % 2) as u32;
+                seen.note(&record, 0);
+            }
+        };
+        let shown = |seen: &Seen, rows| -> Vec<String> {
+            let lines = seen.newest_lines(rows).into_iter();
+            lines.map(|line| line.text.clone()).collect()
+        };
+        pass(&mut seen, 1, false);
+        seen.add_answer(RequestKind::Stop, Ok("an older answer".to_owned()));
+        seen.add_answer(RequestKind::Hold, Err("refused".to_owned()));
+        seen.add_answer(RequestKind::Stop, Ok("stop: accepted".to_owned()));
+        pass(&mut seen, 9, true);
+        let answers = ["hold: refused", "stop: accepted"];
+        let events = ["1 obstacle", "0 obstacles"];
+        assert_eq!(shown(&seen, 4), [answers, events].concat());
+        // The newest event has a row in any case, and all of them fit.
+        for rows in 1..4 {
+            let lines = shown(&seen, rows);
+            assert_eq!(lines.len(), rows);
+            assert_eq!(lines[rows - 1], "0 obstacles");
+        }
+        assert_eq!(shown(&seen, 0).len(), 0);
+        pass(&mut seen, 2000, false);
+        pass(&mut seen, 4, true);
+        let texts = shown(&seen, 4);
+        assert!(
+            texts.iter().all(|text| text.contains("obstacle")),
+            "{texts:?}"
+        );
     }
 
     #[test]
