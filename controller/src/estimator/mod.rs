@@ -4,18 +4,18 @@
 //! configuration.
 
 mod actuator;
+mod rest;
 mod slack;
 mod tip_filter;
 mod tip_offset;
 mod tip_slope;
 
-use core::ops::Range;
-
 use nalgebra::Vector3;
 
 use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot};
 pub use actuator::Actuator;
-use actuator::{ActuatorModel, added};
+use actuator::ActuatorModel;
+pub use rest::RestCause;
 pub use slack::Slack;
 use tip_filter::{TIP_NOISE_M, TipFilter};
 use tip_offset::TipOffset;
@@ -27,28 +27,6 @@ const STAGES: usize = 3;
 
 /// Time constant with which the measured bends are averaged beside the estimate \[s\]: a third of the noise remains, measured at 200 Hz.
 const BESIDE_TIME_S: f64 = 0.03;
-
-/// Distance between the places of motors that obeyed and of motors that rested which a measurement tells apart in spite of its noise \[rad\].
-const VISIBLE_RAD: f64 = 0.01;
-
-/// A measurement shows a stated rest if it is as far along the way from the place of motors that obeyed to that of motors that rested, as shares of
-/// this way. How far it is beside the way does not count: that is an error of the estimate from before the rest.
-const SHOWN: Range<f64> = 0.7..1.4;
-
-/// Motion still under way that a stated rest may take without a measurement that shows as much \[rad\]. Without this allowance a true
-/// statement counts too late behind motors of a long lag: beside an obstacle the robot comes too near.
-const UNSEEN_RAD: f64 = 0.1;
-
-/// Why motors may have rested.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum RestCause {
-    /// Their driver was silent.
-    Silence,
-    /// Their driver states it.
-    Stated,
-    /// It states that a rest went on whose motion the estimate has lost.
-    GoesOn,
-}
 
 /// A measurement by a driver or a tip sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -188,64 +166,6 @@ impl Estimator {
     pub fn without_tip_slope(mut self) -> Self {
         self.tip_offset = self.tip_offset.without_slope();
         self
-    }
-
-    /// The motors may not have obeyed what was commanded between these ages (s, before the time of the last prediction), for this cause: the
-    /// estimate loses that motion, if the `measurement` made `age_s` ago does not contradict it. After a silence, and where a lost rest went on, it
-    /// contradicts it where the motors are nearer to their place if they obeyed, and noise does not hide this; it must show a rest that is only
-    /// stated, and much motion under way only as far as it shows as much. A tip shows neither. Returns whether the motion is lost. Take the measurement with [`Self::correct`] afterwards: it is adopted without filtering, because when exactly
-    /// the motors rested is not known.
-    pub fn rested(
-        &mut self,
-        robot: &Robot,
-        measurement: &Measurement,
-        age_s: f64,
-        ages_s: &Range<f64>,
-        cause: RestCause,
-    ) -> bool {
-        let Some(measured) = measurement.configuration(robot) else {
-            return false;
-        };
-        self.resting.clone_from(&self.motors);
-        let lost_rad = self.resting.rested(ages_s);
-        let motions = [&self.motors, &self.resting].map(|motors| motors.remaining_motion(age_s));
-        let obeyed = motions[0].start_from(self.motors());
-        let rested = motions[1].start_from(&added(self.motors(), &lost_rad, -1.0));
-        let seen_rad = distance_rad(&obeyed, &rested);
-        let [obeyed_end, rested_end] = motions.map(|motion| motion.end_from(&measured));
-        let unseen_rad = distance_rad(&obeyed_end, &rested_end);
-        let is_visible = seen_rad > VISIBLE_RAD;
-        let share = way_share(&obeyed, &rested, &measured);
-        let is_contradicted = is_visible && share < 0.5;
-        let is_shown =
-            is_visible && SHOWN.contains(&share) && unseen_rad <= seen_rad.max(UNSEEN_RAD);
-        let is_believed = match cause {
-            RestCause::Silence => !is_contradicted,
-            RestCause::Stated => is_shown,
-            // Together with what was taken before: parts too small to be seen are not contradicted either.
-            RestCause::GoesOn => {
-                let all_rad = self.unshown_rad + norm_rad(&lost_rad);
-                is_shown || !is_contradicted && all_rad <= UNSEEN_RAD
-            }
-        };
-        if !is_believed {
-            return false;
-        }
-        core::mem::swap(&mut self.motors, &mut self.resting);
-        self.unshown_rad = match cause {
-            RestCause::GoesOn if !is_shown => self.unshown_rad + norm_rad(&lost_rad),
-            _ => unseen_rad,
-        };
-        for led in self.stages.iter_mut().chain([&mut self.measured]) {
-            *led = added(led, &lost_rad, -1.0);
-        }
-        // A part that no measurement shows leaves the filters on: a statement without end would switch them off.
-        if is_visible || cause == RestCause::Silence {
-            self.uncorrected_s = None;
-            self.forget_beside();
-        }
-        self.commanded = self.motors.cables_commanded(self.motors());
-        true
     }
 
     /// Restarts at `configuration`, with motors at rest. The tip offset is kept, because it is an error of the model.
@@ -455,27 +375,6 @@ impl Estimator {
                 .revise_model_tip(&robot.tip_position(&self.commanded));
         }
     }
-}
-
-/// Distance of two configurations in all bends \[rad\].
-fn distance_rad(a: &Configuration, b: &Configuration) -> f64 {
-    let pairs = a.as_slice().iter().zip(b.as_slice());
-    pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
-}
-
-fn norm_rad(bends_rad: &[f64]) -> f64 {
-    bends_rad.iter().map(|rad| rad * rad).sum::<f64>().sqrt()
-}
-
-/// How far `at` is along the way from `from` to `to`, as a share of this way; 0 without a way.
-fn way_share(from: &Configuration, to: &Configuration, at: &Configuration) -> f64 {
-    let (mut along, mut way) = (0.0, 0.0);
-    let pairs = from.as_slice().iter().zip(to.as_slice());
-    for ((from, to), at) in pairs.zip(at.as_slice()) {
-        along += (at - from) * (to - from);
-        way += (to - from) * (to - from);
-    }
-    if way > 0.0 { along / way } else { 0.0 }
 }
 
 /// `from` moved towards `to` by the share `gain`.

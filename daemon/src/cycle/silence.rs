@@ -22,10 +22,15 @@ pub(super) struct SilenceWatch {
     believed_ns: Range<u64>,
     /// It was stated, and a measurement showed it; a silence is only not contradicted.
     is_shown: bool,
+    /// Rests that were stated before the newest one, and that no measurement has shown, the newest first \[ns\].
+    hidden_ns: [Range<u64>; HIDDEN_MAX],
 }
 
 /// For how long after its end a stated rest counts \[ns\]. The filters of the estimate have taken it by then.
 const STATED_NS: u64 = 500_000_000;
+
+/// Hidden rests that are kept: as many stalls as the filters of the estimate do not take at once.
+pub(super) const HIDDEN_MAX: usize = 3;
 
 /// When motors may have rested.
 #[derive(Debug)]
@@ -33,13 +38,6 @@ pub(super) struct Rest {
     pub(super) cause: RestCause,
     /// When they rested \[ns\].
     rested_ns: Range<u64>,
-}
-
-impl Rest {
-    /// Ages at `release_ns` between which the motors rested \[s\].
-    pub(super) fn ages_s(&self, release_ns: u64) -> Range<f64> {
-        age_s(self.rested_ns.end, release_ns)..age_s(self.rested_ns.start, release_ns)
-    }
 }
 
 impl SilenceWatch {
@@ -55,38 +53,53 @@ impl SilenceWatch {
             stated_ns: [0; 2],
             believed_ns: 0..0,
             is_shown: false,
+            hidden_ns: Default::default(),
         }
     }
 
     /// Takes a measurement that is used at this release. The motors may have rested in a silence before it, and else as
     /// the driver states, less what is [believed](Self::believe). A rest that begins within the one stated before is no rest: it would have begun with
-    /// that. After a silence the statement waits for the next measurement: one that is too short would hide a part of the silence.
-    pub(super) fn rest(&mut self, timed: &TimedMeasurement, release_ns: u64) -> Option<Rest> {
+    /// that. After a silence, a rest counts that began before it and lasted into it, or else the silence: a statement that is too short would hide a
+    /// part of it.
+    pub(super) fn rests(
+        &mut self,
+        timed: &TimedMeasurement,
+        release_ns: u64,
+    ) -> impl Iterator<Item = Rest> + use<> {
         let before_ns = self.stated_ns;
         // Nothing is stated by a rest without a duration.
         if timed.rested_ns[0] < timed.rested_ns[1] {
             self.stated_ns = timed.rested_ns;
+            self.hide(before_ns);
         }
-        if let Some(rested_ns) = self.silence_ns(timed.measured_ns, release_ns) {
-            return Some(Rest {
-                cause: RestCause::Silence,
-                rested_ns,
-            });
-        }
-        let [mut from_ns, until_ns] = timed.rested_ns.map(|at_ns| at_ns.min(release_ns));
+        let [from_ns, until_ns] = timed.rested_ns.map(|at_ns| at_ns.min(release_ns));
         let is_recent = release_ns - until_ns < STATED_NS;
         let is_one = from_ns == before_ns[0] || from_ns >= before_ns[1];
-        let mut cause = RestCause::Stated;
-        if self.believed_ns.contains(&from_ns) {
-            from_ns = self.believed_ns.end;
+        let mut stated = (is_recent && is_one).then_some(Rest {
+            cause: RestCause::Stated,
+            rested_ns: from_ns..until_ns,
+        });
+        if let Some(rest) = &mut stated
+            && self.believed_ns.contains(&from_ns)
+        {
+            rest.rested_ns.start = self.believed_ns.end;
             if self.is_shown {
-                cause = RestCause::GoesOn;
+                rest.cause = RestCause::GoesOn;
             }
         }
-        (from_ns < until_ns && is_recent && is_one).then_some(Rest {
-            cause,
-            rested_ns: from_ns..until_ns,
-        })
+        let silence_ns = self.silence_ns(timed.measured_ns, release_ns);
+        if let Some(silence_ns) = &silence_ns {
+            stated = stated.filter(|rest| rest.rested_ns.contains(&silence_ns.start));
+            if let Some(rest) = &mut stated {
+                rest.cause = RestCause::Stated;
+            }
+        }
+        let silent = silence_ns.map(|rested_ns| Rest {
+            cause: RestCause::Silence,
+            rested_ns,
+        });
+        let stated = stated.filter(|rest| !rest.rested_ns.is_empty());
+        stated.into_iter().chain(silent)
     }
 
     /// The estimate has lost the motion of this rest, which is decided only once.
@@ -100,6 +113,40 @@ impl SilenceWatch {
         };
         self.believed_ns = from_ns..end;
         self.is_shown = rest.cause != RestCause::Silence;
+        self.hidden_ns = Default::default();
+    }
+
+    /// Keeps the rest that was stated before, if another one is stated now and it is not believed.
+    fn hide(&mut self, before_ns: [u64; 2]) {
+        let [from_ns, until_ns] = before_ns;
+        let is_over = until_ns <= self.stated_ns[0];
+        let from_ns = from_ns.max(self.believed_ns.end);
+        if is_over && from_ns < until_ns {
+            self.hidden_ns.rotate_right(1);
+            self.hidden_ns[0] = from_ns..until_ns;
+        }
+    }
+
+    /// Ages at `release_ns` between which the motors rested \[s\], and of the hidden rests, together with which a stated one may be shown.
+    /// Returns their number.
+    pub(super) fn fill_ages(
+        &self,
+        rest: &Rest,
+        release_ns: u64,
+        filled_s: &mut [Range<f64>; 1 + HIDDEN_MAX],
+    ) -> usize {
+        let is_recent = |hidden_ns: &&Range<u64>| {
+            !hidden_ns.is_empty() && release_ns.saturating_sub(hidden_ns.end) < STATED_NS
+        };
+        let adds = rest.cause == RestCause::Stated;
+        let hidden_ns = self.hidden_ns.iter().filter(|ns| adds && is_recent(ns));
+        let rests_ns = core::iter::once(&rest.rested_ns).chain(hidden_ns);
+        let mut count = 0;
+        for (filled_s, rested_ns) in filled_s.iter_mut().zip(rests_ns) {
+            *filled_s = age_s(rested_ns.end, release_ns)..age_s(rested_ns.start, release_ns);
+            count += 1;
+        }
+        count
     }
 
     /// If the driver was silent before a measurement, for longer than a command is valid and than 2.5 times the usual
@@ -143,6 +190,7 @@ mod tests {
             stated_ns: [0; 2],
             believed_ns: 0..0,
             is_shown: false,
+            hidden_ns: Default::default(),
         }
     }
 
@@ -166,7 +214,7 @@ mod tests {
             measured_ns: at_ms * MS,
             rested_ns: rested_ms.map(|at_ms| at_ms * MS),
         };
-        watch.rest(&timed, (at_ms + 4) * MS)
+        watch.rests(&timed, (at_ms + 4) * MS).last()
     }
 
     #[test]
@@ -241,6 +289,60 @@ mod tests {
                 watch.believe(rest);
             }
         }
+    }
+
+    /// Their driver or its machine stalls again and again.
+    #[test]
+    fn rests_that_nothing_has_shown_are_tried_with_the_newest_one() {
+        let mut watch = watch();
+        let mut rests_ms = |at_ms, stated_ms, believes: bool| {
+            let rest = rest(&mut watch, at_ms, stated_ms).expect("a rest");
+            let mut rests_s = [const { 0.0..0.0 }; 1 + HIDDEN_MAX];
+            let count = watch.fill_ages(&rest, at_ms * MS, &mut rests_s);
+            if believes {
+                watch.believe(&rest);
+            }
+            let ms = |ago_s: f64| (at_ms as f64 - 1e3 * ago_s).round() as u64;
+            let rests_ms = rests_s[..count].iter();
+            let rests_ms = rests_ms.map(|ages_s| [ms(ages_s.end), ms(ages_s.start)]);
+            rests_ms.collect::<Vec<_>>()
+        };
+        assert_eq!(rests_ms(100, [80, 90], false), [[80, 90]]);
+        assert_eq!(rests_ms(105, [80, 95], false), [[80, 95]], "it goes on");
+        assert_eq!(rests_ms(110, [102, 108], false), [[102, 108], [80, 95]]);
+        let three = [[112, 113], [102, 108], [80, 95]];
+        assert_eq!(rests_ms(115, [112, 113], true), three);
+        assert_eq!(rests_ms(120, [115, 118], false), [[115, 118]], "believed");
+        let newest = rest(&mut watch, 125, [121, 122]).expect("a rest");
+        let count = |at_ms| {
+            watch.fill_ages(
+                &newest,
+                at_ms * MS,
+                &mut [const { 0.0..0.0 }; 1 + HIDDEN_MAX],
+            )
+        };
+        assert_eq!([count(617), count(618)], [2, 1], "long over");
+    }
+
+    #[test]
+    fn a_stated_rest_that_began_before_a_silence_replaces_it_or_the_silence_counts() {
+        let mut watch = watch();
+        let mut rests_ms = |at_ms, stated_ms: [u64; 2]| {
+            let timed = TimedMeasurement {
+                measurement: Measurement::TipPosition(Vector3::zeros()),
+                measured_ns: at_ms * MS,
+                rested_ns: stated_ms.map(|at_ms| at_ms * MS),
+            };
+            let rests = watch.rests(&timed, (at_ms + 4) * MS);
+            let ms = |ns: u64| ns / MS;
+            rests
+                .map(|rest| [ms(rest.rested_ns.start), ms(rest.rested_ns.end)])
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(rests_ms(100, [0, 0]), [[0; 2]; 0]);
+        assert_eq!(rests_ms(105, [0, 0]), [[0; 2]; 0]);
+        assert_eq!(rests_ms(140, [118, 136]), [[118, 136], [124, 140]]);
+        assert_eq!(rests_ms(180, [165, 176]), [[159, 180]], "too short");
     }
 
     #[test]

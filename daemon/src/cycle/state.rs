@@ -7,7 +7,7 @@ use cdcr_controller::safety::{
 };
 use nalgebra::Vector3;
 
-use super::silence::{SilenceWatch, age_s};
+use super::silence::{HIDDEN_MAX, SilenceWatch, age_s};
 use super::tip_watch::TipWatch;
 use crate::config::Interface;
 use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
@@ -210,11 +210,13 @@ impl RobotState {
             self.measurement_fault = Some(Reason::CommonMode);
         }
         let age_s = age_s(measured_ns, release_ns);
-        if let Some(rest) = self.silence.rest(&timed, release_ns) {
-            let (robot, estimator) = (&self.robot, &mut self.estimator);
-            let ages_s = rest.ages_s(release_ns);
-            if estimator.rested(robot, &measurement, age_s, &ages_s, rest.cause) {
+        for rest in self.silence.rests(&timed, release_ns) {
+            let mut rests_s = [const { 0.0..0.0 }; 1 + HIDDEN_MAX];
+            let count = self.silence.fill_ages(&rest, release_ns, &mut rests_s);
+            let (robot, rests_s) = (&self.robot, &rests_s[..count]);
+            if (self.estimator).rested(robot, &measurement, age_s, rests_s, rest.cause) {
                 self.silence.believe(&rest);
+                break;
             }
         }
         self.estimator.correct(&self.robot, &measurement, age_s);

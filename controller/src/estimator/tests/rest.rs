@@ -1,6 +1,10 @@
 //! Motors that rested.
 
+use core::ops::Range;
+use core::slice::from_ref;
+
 use super::*;
+use crate::estimator::rest::{UNSEEN_RAD, distance_rad};
 use RestCause::{GoesOn, Silence, Stated};
 
 const PERIOD_S: f64 = 0.005;
@@ -29,7 +33,7 @@ fn loses(lost: f64, ages_s: &Range<f64>, cause: RestCause) -> f64 {
     let (mut estimator, measured) = moving(lost);
     let led_rad = |estimator: &Estimator| estimator.motors().as_slice()[0];
     let before_rad = led_rad(&estimator);
-    estimator.rested(&robot(1), &measured, 0.0, ages_s, cause);
+    estimator.rested(&robot(1), &measured, 0.0, from_ref(ages_s), cause);
     let motion_rad = RATE_RAD_S * (RESTED_S.end - RESTED_S.start);
     (before_rad - led_rad(&estimator)) / motion_rad
 }
@@ -57,6 +61,41 @@ fn a_stated_rest_that_noise_hides_is_not_lost() {
     assert!((loses(0.1, &short_s, Silence) - 0.1).abs() < 1e-9);
 }
 
+/// Each of 0.006 rad, one after the other before a measurement could show the first.
+#[test]
+fn stated_rests_that_noise_hides_are_lost_where_a_measurement_shows_all_of_them() {
+    let rests_s = [0.02..0.023, 0.04..0.043];
+    let (mut estimator, measured) = moving(0.2);
+    let led_rad = estimator.motors().as_slice()[0];
+    for alone_s in &rests_s {
+        assert!(!estimator.rested(&robot(1), &measured, 0.0, from_ref(alone_s), Stated));
+    }
+    assert!(estimator.rested(&robot(1), &measured, 0.0, &rests_s, Stated));
+    let lost_rad = led_rad - estimator.motors().as_slice()[0];
+    assert!((lost_rad - 0.012).abs() < 1e-9, "{lost_rad}");
+}
+
+#[test]
+fn a_stated_rest_that_noise_hides_is_lost_where_the_average_shows_it() {
+    const LOST_RAD: f64 = 0.006;
+    let rates = BendRates::from_slice(&[RATE_RAD_S, 0.0]).unwrap();
+    for (seen_rad, is_lost) in [(LOST_RAD, true), (0.2 * LOST_RAD, false)] {
+        let mut estimator = moving(0.0).0;
+        let mut lost = [false; 2];
+        for cycle in 0..14 {
+            let at = estimator.motors().advanced(&rates, -seen_rad / RATE_RAD_S);
+            let measured = Measurement::Configuration(at);
+            let ago_s = 0.02 + PERIOD_S * f64::from(cycle);
+            let ages_s = ago_s..ago_s + LOST_RAD / RATE_RAD_S;
+            let is_first = usize::from(cycle > 0);
+            lost[is_first] |= estimator.rested(&robot(1), &measured, 0.0, &[ages_s], Stated);
+            estimator.correct(&robot(1), &measured, 0.0);
+            estimator.predict(&rates, PERIOD_S);
+        }
+        assert_eq!(lost, [false, is_lost], "{seen_rad} rad");
+    }
+}
+
 #[test]
 fn a_stated_rest_of_which_much_more_is_under_way_than_seen_is_left_to_a_later_statement() {
     let lost_s = |age_s: f64, seen_s: f64| {
@@ -64,12 +103,34 @@ fn a_stated_rest_of_which_much_more_is_under_way_than_seen_is_left_to_a_later_st
         let rates = BendRates::from_slice(&[RATE_RAD_S, 0.0]).unwrap();
         let led = *estimator.motors();
         let measured = Measurement::Configuration(led.advanced(&rates, -age_s - seen_s));
-        estimator.rested(&robot(1), &measured, age_s, &(0.0..age_s + seen_s), Stated);
+        estimator.rested(&robot(1), &measured, age_s, &[0.0..age_s + seen_s], Stated);
         (led.as_slice()[0] - estimator.motors().as_slice()[0]) / RATE_RAD_S
     };
     assert!((lost_s(0.03, 0.02) - 0.05).abs() < 1e-9);
     assert_eq!(lost_s(0.1, 0.02), 0.0);
     assert!((lost_s(0.1, 0.11) - 0.21).abs() < 1e-9);
+}
+
+/// A machine that stalls would show the noise of single measurements as motion of the tip.
+#[test]
+fn a_silence_leaves_the_filters_on_where_nothing_was_commanded() {
+    for (rate_rad_s, moves) in [(0.0, false), (0.1, true)] {
+        let mut estimator = Estimator::new(Configuration::straight(1)).with_time_constant(0.18);
+        let rates = BendRates::from_slice(&[rate_rad_s, 0.0]).unwrap();
+        for _ in 0..100 {
+            estimator.predict(&rates, PERIOD_S);
+            let measured = Measurement::Configuration(*estimator.motors());
+            estimator.correct(&robot(1), &measured, 0.0);
+        }
+        let led_rad = estimator.motors().as_slice()[0];
+        let noisy = Configuration::from_slice(&[led_rad - 0.003, 0.0]).unwrap();
+        let measured = Measurement::Configuration(noisy);
+        estimator.predict(&BendRates::zero(1), PERIOD_S);
+        estimator.rested(&robot(1), &measured, 0.0, &[0.0..0.03], Silence);
+        estimator.correct(&robot(1), &measured, 0.0);
+        let moved_rad = led_rad - estimator.motors().as_slice()[0];
+        assert_eq!(moved_rad > 0.002, moves, "{moved_rad} rad");
+    }
 }
 
 /// An error of the estimate from before the rest, in another direction.
@@ -79,7 +140,7 @@ fn a_stated_rest_is_lost_where_the_estimate_was_beside_the_robot_before() {
     let led = estimator.motors().as_slice()[0];
     let place = Configuration::from_slice(&[led - 0.06, 0.04]).unwrap();
     let measured = Measurement::Configuration(place);
-    assert!(estimator.rested(&robot(1), &measured, 0.0, &RESTED_S, Stated));
+    assert!(estimator.rested(&robot(1), &measured, 0.0, &[RESTED_S], Stated));
 }
 
 /// A driver states a rest while it lasts. The parts end between releases.
@@ -89,10 +150,10 @@ fn a_rest_that_is_lost_in_parts_is_lost_as_a_whole() {
     let mut parts = [moving(1.0).0, moving(1.0).0];
     for (estimator, ends_s) in parts.iter_mut().zip([[0.048, 0.036], [0.043, 0.041]]) {
         for ages_s in [ends_s[0]..0.05, ends_s[1]..ends_s[0], 0.02..ends_s[1]] {
-            estimator.rested(&robot(1), &measured, 0.0, &ages_s, Silence);
+            estimator.rested(&robot(1), &measured, 0.0, &[ages_s], Silence);
         }
     }
-    estimator.rested(&robot(1), &measured, 0.0, &RESTED_S, Silence);
+    estimator.rested(&robot(1), &measured, 0.0, &[RESTED_S], Silence);
     for part in parts {
         assert!(distance_rad(part.motors(), estimator.motors()) < 1e-12);
         let [one, other] = [&part, &estimator].map(|it| it.motors.remaining_motion(0.04));
@@ -112,7 +173,7 @@ fn a_rest_that_was_shown_goes_on_as_stated_up_to_a_bounded_motion() {
     };
     let measured = at(&estimator, 0.06);
     let rests = |estimator: &mut Estimator, age_s, ages_s: Range<f64>, cause| {
-        let is_lost = estimator.rested(&robot(1), &measured, age_s, &ages_s, cause);
+        let is_lost = estimator.rested(&robot(1), &measured, age_s, &[ages_s], cause);
         estimator.correct(&robot(1), &measured, age_s);
         is_lost
     };
@@ -120,7 +181,7 @@ fn a_rest_that_was_shown_goes_on_as_stated_up_to_a_bounded_motion() {
     let obeyed = at(&estimator, 0.0);
     let new_s = 0.0..AGE_S;
     assert!(
-        !estimator.rested(&robot(1), &obeyed, 0.0, &new_s, GoesOn),
+        !estimator.rested(&robot(1), &obeyed, 0.0, from_ref(&new_s), GoesOn),
         "it is contradicted"
     );
     assert!(
@@ -149,7 +210,7 @@ fn a_rest_that_is_stated_without_end_leaves_the_filters_on() {
         let noise_rad = NOISE_RAD * if cycle % 2 == 0 { 1.0 } else { -1.0 };
         let place = Configuration::from_slice(&[truth_rad + noise_rad, 0.0]).unwrap();
         let measured = Measurement::Configuration(place);
-        estimator.rested(&robot, &measured, 0.0, &(0.0..PERIOD_S), GoesOn);
+        estimator.rested(&robot, &measured, 0.0, &[0.0..PERIOD_S], GoesOn);
         estimator.correct(&robot, &measured, 0.0);
         at = [at[1], at[2], estimator.motors().as_slice()[0]];
         if cycle > 3 {
@@ -255,7 +316,7 @@ fn farther_rad(
         let measured = Measurement::Configuration(Configuration::from_slice(&bends).unwrap());
         let age_s = AGE_MS as f64 * 1e-3;
         if let Some(ages_s) = stated(cycle) {
-            estimators[1].rested(&robot, &measured, age_s, &ages_s, Stated);
+            estimators[1].rested(&robot, &measured, age_s, &[ages_s], Stated);
         }
         let truth_rad = Motors::delayed_rad(&motors.place_rad, 0);
         let turn_s = cycle as f64 * PERIOD_S;

@@ -36,6 +36,8 @@ impl Losses {
 #[derive(Debug)]
 pub(in super::super) struct LosingDriver {
     losses: Losses,
+    /// When it stands still as a whole: it neither measures nor takes commands.
+    pub(in super::super) stalls: Option<Losses>,
     /// Time from a release until its command arrives \[ms\], less than a period.
     late_ms: u64,
     arrived: Option<Command>,
@@ -52,6 +54,7 @@ impl LosingDriver {
     pub(in super::super) fn new(losses: Losses, late_ms: u64) -> Self {
         Self {
             losses,
+            stalls: None,
             late_ms,
             arrived: None,
             taken: None,
@@ -110,7 +113,8 @@ impl Trial {
             if step_ms == driver.late_ms {
                 driver.arrived = Some(command);
             }
-            if now_ms.is_multiple_of(TURN_MS) {
+            let stalls = driver.stalls.is_some_and(|stalls| stalls.contain(now_ms));
+            if now_ms.is_multiple_of(TURN_MS) && !stalls {
                 driver.turn(&mut self.plant, now_ms);
             }
             self.plant.order(driver.order(now_ms));
