@@ -254,11 +254,12 @@ fn make_cycle(validated: &Validated, clock: &impl Clock) -> Result<Cycle> {
             error,
             "cannot read the core share of real-time threads: assuming 95 %"
         );
-        KERNEL_SHARE
+        None
     });
     let link = CycleRobot::new(validated).context("the simulated robot")?;
     let cycle = Cycle::new(validated, link).context("the solver")?;
-    let mut cycle = cycle.with_kernel_share(share);
+    // Without a limit, the kernel's default: otherwise the other tasks on the core would starve.
+    let mut cycle = cycle.with_kernel_share(share.unwrap_or(KERNEL_SHARE));
     cycle.check_that_it_fits(clock).map_err(|message| Ended {
         cause: ExitCause::Configuration,
         message,

@@ -17,6 +17,24 @@ pub struct CoreTicks {
     pub total: u64,
 }
 
+impl CoreTicks {
+    /// The ticks since an earlier reading. Counters that run backwards (of a core that was off) count as zero.
+    #[must_use]
+    pub fn since(self, earlier: Self) -> Self {
+        Self {
+            busy: self.busy.saturating_sub(earlier.busy),
+            steal: self.steal.saturating_sub(earlier.steal),
+            total: self.total.saturating_sub(earlier.total),
+        }
+    }
+
+    /// Some ticks as a share of the total, 0 to 1; 0 where the total is 0.
+    #[must_use]
+    pub fn share(self, ticks: u64) -> f64 {
+        (ticks as f64 / self.total.max(1) as f64).min(1.0)
+    }
+}
+
 /// The times of each core from the text of `/proc/stat`; `None` is the sum of all cores. Lines that do not conform to
 /// `proc_stat(5)` are skipped.
 pub fn core_ticks(stat: &str) -> impl Iterator<Item = (Option<usize>, CoreTicks)> {

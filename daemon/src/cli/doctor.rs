@@ -80,9 +80,13 @@ fn write_text(out: &mut impl Write, report: &DoctorReport) -> io::Result<()> {
             writeln!(out, "         fix   {}", finding.remedy)?;
         }
     }
-    let counts = Severity::ALL.map(|severity| match (report.count(severity), severity.word()) {
-        (count, word @ ("ok" | "unknown")) => format!("{count} {word}"),
-        (count, noun) => counted(count, noun),
+    let counts = Severity::ALL.map(|severity| {
+        let same = |finding: &&Finding| finding.severity == severity;
+        let count = report.findings.iter().filter(same).count();
+        match severity.word() {
+            word @ ("ok" | "unknown") => format!("{count} {word}"),
+            noun => counted(count, noun),
+        }
     });
     let color = style(report.worst);
     writeln!(out, "\n{color}{}{color:#}", counts.join(", "))
@@ -102,10 +106,13 @@ mod tests {
             why: "Because.",
             remedy: "do it".to_owned(),
         };
-        let report = DoctorReport::new(vec![
-            finding("a", Severity::Ok),
-            finding("longer", Severity::Fault),
-        ]);
+        let report = DoctorReport {
+            worst: Severity::Fault,
+            findings: vec![
+                finding("a", Severity::Ok),
+                finding("longer", Severity::Fault),
+            ],
+        };
         let mut bytes = anstream::StripStream::new(Vec::new());
         write_text(&mut bytes, &report).unwrap();
         let text = String::from_utf8(bytes.into_inner()).unwrap();

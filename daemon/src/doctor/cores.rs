@@ -10,11 +10,10 @@ use crate::system::SIBLING_SHARE;
 const EXIT_US: i64 = 20;
 
 pub(super) fn cores(observed: &Observations) -> Assessed {
-    let [online, allowed] =
-        [observed.system.online()?, observed.system.allowed()?].map(|set| set.len());
-    let value = format!("{online} online, {allowed} allowed");
-    let remedy = "use a machine or a control group with two cores or more";
-    warn_unless(online.min(allowed) > 1, value, remedy)
+    let online = observed.system.online()?.len();
+    let allowed = observed.system.allowed("/proc/self")?.len();
+    warn_unless!(online.min(allowed) > 1, "{online} online, {allowed} allowed"
+        => "use a machine or a control group with two cores or more")
 }
 
 pub(super) fn isolation(observed: &Observations) -> Assessed {
@@ -39,12 +38,8 @@ pub(super) fn isolation(observed: &Observations) -> Assessed {
 pub(super) fn tick(observed: &Observations) -> Assessed {
     let core = observed.core()?;
     let has_no_tick = observed.has_no_tick()?;
-    let callbacks = CoreSet::parse(
-        &observed
-            .system
-            .boot_option("rcu_nocbs")?
-            .unwrap_or_default(),
-    );
+    let callbacks = observed.system.boot_option("rcu_nocbs")?;
+    let callbacks = CoreSet::parse(&callbacks.unwrap_or_default());
     let value = match (has_no_tick, callbacks.contains(&core)) {
         // A core without the tick is also freed from callbacks.
         (true, _) => "nohz_full: timer tick off; rcu_nocbs: RCU callbacks off",
@@ -65,9 +60,10 @@ pub(super) fn siblings(observed: &Observations) -> Assessed {
     if siblings.is_empty() {
         return Ok(format!("core {core} shares no physical core"));
     }
-    let loads = &observed.load()?.cores;
-    let busy = siblings.iter().filter_map(|core| loads.get(core));
-    let busy = busy.map(|load| load.busy).fold(0.0, f64::max);
+    let times = &observed.load()?.cores;
+    let times = siblings.iter().filter_map(|core| times.get(core));
+    let busy = times.map(|time| time.share(time.busy));
+    let busy = busy.fold(0.0, f64::max);
     let percent = 100.0 * busy;
     let value = format!("shared with core {siblings}, busy for {percent:.0} % of this second");
     if busy < SIBLING_SHARE {
@@ -124,16 +120,17 @@ pub(super) fn deep_sleep(observed: &Observations) -> Assessed {
 /// Exit latency \[µs\] and name of the deepest enabled sleep state.
 fn deepest_sleep(observed: &Observations) -> Reading<Option<(i64, String)>> {
     let system = &observed.system;
-    let folder = format!("{CPU}/cpu{}/cpuidle", observed.core()?);
-    let mut deepest: Option<(i64, String)> = None;
-    for state in system.names(&folder) {
-        let is_off = system.read_if_there(&format!("{folder}/{state}/disable"))?;
-        if !state.starts_with("state") || is_off.is_some_and(|flag| flag != "0") {
-            continue;
-        }
-        let exit_us = system.number(&format!("{folder}/{state}/latency"))?;
-        if deepest.as_ref().is_none_or(|(known, _)| *known < exit_us) {
-            deepest = Some((exit_us, system.read(&format!("{folder}/{state}/name"))?));
+    let core = observed.core()?;
+    let mut deepest = None;
+    for state in 0.. {
+        let folder = format!("{CPU}/cpu{core}/cpuidle/state{state}");
+        let Some(name) = system.read_if_there(&format!("{folder}/name"))? else {
+            break;
+        };
+        let is_off = system.read_if_there(&format!("{folder}/disable"))?;
+        if is_off.is_none_or(|flag| flag == "0") {
+            let exit_us = system.number(&format!("{folder}/latency"))?;
+            deepest = deepest.max(Some((exit_us, name)));
         }
     }
     Ok(deepest)

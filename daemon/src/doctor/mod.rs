@@ -1,8 +1,8 @@
 //! `cdcrd doctor`: findings about this machine that affect the timing of the loop, with their remedies.
 //!
-//! A [`Observations`] contains all observations: files ([`System`]), trials ([`Probe`]), one second of counters
-//! ([`Load`]), and the configuration. Each check assesses one aspect of it and changes nothing, so that tests
-//! can assess scenes of their own.
+//! [`Observations`] are files ([`System`]), trials ([`Probe`]), one second of counts ([`Load`]), and the
+//! configuration. Each check assesses one aspect of them and changes nothing, so that tests can assess machines of
+//! their own.
 //!
 //! If the configuration asks for no real time, checks that matter only to real time are shown and assessed as
 //! good.
@@ -26,18 +26,13 @@ use sample::Load;
 
 use crate::config::{RealtimeConfig, RealtimeMode, Validated};
 use crate::start;
-use crate::system::{
-    CPU, CoreSet, Reading, System, Unreadable, daemon_process, unreadable, with_core,
-};
+use crate::system::{CPU, CoreSet, Reading, System, daemon_process, unreadable, with_core};
 
-/// All observations.
-#[derive(Debug, Clone)]
 struct Observations {
     system: System,
     /// The configuration with the chosen core.
     validated: Validated,
     probe: Probe,
-    /// Load of the core during the observation.
     load: Reading<Load>,
 }
 
@@ -115,8 +110,8 @@ pub(crate) fn examine(validated: &Validated) -> DoctorReport {
     let system = System::this();
     let validated = with_core(validated);
     let mut ours = vec![std::process::id()];
-    ours.extend(daemon_process(&system, &validated));
-    let core = start::core(&validated.config.realtime).ok_or_else(no_core);
+    ours.extend(daemon_process(&validated));
+    let core = realtime_core(&validated);
     let observed = Observations {
         load: core.and_then(|core| Load::watch(&system, core, &ours)),
         probe: Probe::new(&system, &validated),
@@ -126,13 +121,18 @@ pub(crate) fn examine(validated: &Validated) -> DoctorReport {
     observed.report()
 }
 
-fn no_core() -> Unreadable {
-    unreadable("the core", "the system does not report its cores")
+/// The core of the real-time threads.
+fn realtime_core(validated: &Validated) -> Reading<usize> {
+    let hidden = || unreadable("the core", "the system does not report its cores");
+    start::core(&validated.config.realtime).ok_or_else(hidden)
 }
 
 impl Observations {
     fn report(&self) -> DoctorReport {
-        DoctorReport::new(CHECKS.iter().map(|check| check.finding(self)).collect())
+        let findings: Vec<Finding> = CHECKS.iter().map(|check| check.finding(self)).collect();
+        let severities = findings.iter().map(|finding| finding.severity);
+        let worst = severities.max().unwrap_or(Severity::Ok);
+        DoctorReport { worst, findings }
     }
 
     fn realtime(&self) -> &RealtimeConfig {
@@ -143,9 +143,8 @@ impl Observations {
         self.validated.config.cycle.period_ms
     }
 
-    /// The core of the real-time threads.
     fn core(&self) -> Reading<usize> {
-        start::core(self.realtime()).ok_or_else(no_core)
+        realtime_core(&self.validated)
     }
 
     fn load(&self) -> Reading<&Load> {
@@ -155,12 +154,6 @@ impl Observations {
     fn has_no_tick(&self) -> Reading<bool> {
         let quiet = self.system.read_if_there(&format!("{CPU}/nohz_full"))?;
         Ok(CoreSet::parse(&quiet.unwrap_or_default()).contains(&self.core()?))
-    }
-
-    /// The daemon of this robot is running.
-    fn daemon_runs(&self) -> bool {
-        let process = daemon_process(&self.system, &self.validated);
-        process.is_some_and(|id| self.system.path(format!("/proc/{id}")).exists())
     }
 
     /// The online cores without that of the real-time threads.

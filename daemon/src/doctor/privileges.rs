@@ -23,7 +23,7 @@ fn grant(limit: &str, container: &str) -> String {
 }
 
 fn is_capable(observed: &Observations, capability: u32) -> Reading<bool> {
-    let field = observed.system.own_status("CapEff")?;
+    let field = observed.system.status("/proc/self", "CapEff")?;
     let odd = |_| unreadable("CapEff", format!("invalid number {field:?}"));
     let bits = u64::from_str_radix(&field, 16).map_err(odd)?;
     Ok(bits >> capability & 1 == 1)
@@ -57,7 +57,7 @@ pub(super) fn pin(observed: &Observations) -> Assessed {
     if observed.probe.pinned {
         return Ok(format!("core {core}"));
     }
-    let allowed = observed.system.own_status("Cpus_allowed_list")?;
+    let allowed = observed.system.status("/proc/self", "Cpus_allowed_list")?;
     let online = observed.system.online()?;
     if !online.contains(&core) {
         return problem!(observed.missing(), "core {core} is offline; online are {online}"

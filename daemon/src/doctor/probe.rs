@@ -10,7 +10,7 @@ use rustix::mm::{MlockAllFlags, mlockall, munlockall};
 use rustix::process::{Resource, geteuid, getrlimit};
 use rustix::thread::{disable_transparent_huge_pages, transparent_huge_pages_are_disabled};
 
-use crate::config::Validated;
+use crate::config::{Config, Validated};
 use crate::instance::is_in_memory;
 use crate::rt::sys;
 use crate::start;
@@ -41,11 +41,15 @@ pub(super) struct Probe {
     pub(super) shared_memory_files: Option<u64>,
     pub(super) root_in_memory: Result<bool, String>,
     pub(super) user_id: u32,
+    /// The daemon of this robot is running.
+    pub(super) daemon_runs: bool,
 }
 
 impl Probe {
     pub(super) fn new(system: &System, validated: &Validated) -> Self {
-        let realtime = &validated.config.realtime;
+        let Config {
+            realtime, robot, ..
+        } = &validated.config;
         let root = system.path(validated.location.root());
         let folder = root.ancestors().find(|folder| folder.exists());
         let folder = folder.unwrap_or(&root);
@@ -65,6 +69,7 @@ impl Probe {
             root_in_memory: reported(is_in_memory(folder)),
             shared_memory_mount: mount_point(folder),
             user_id: geteuid().as_raw(),
+            daemon_runs: validated.location.presence(&robot.name).is_some(),
         }
     }
 }

@@ -7,7 +7,6 @@ use super::finding::{Assessed, problem, warn_unless};
 use super::privileges::may_have_priority;
 use super::{Observations, Reading};
 use crate::core_budget::{CoreBudget, Costs};
-use crate::system::RT_RUNTIME_US;
 
 /// Below this period, microseconds matter \[ms\]. From this period on, a fully pre-emptible kernel and the
 /// tick are good enough.
@@ -55,11 +54,10 @@ fn dynamic_preemption(observed: &Observations) -> Reading<Option<(String, &'stat
 }
 
 pub(super) fn rt_throttling(observed: &Observations) -> Assessed {
-    let share = observed.system.kernel_share()?;
-    if observed.system.number(RT_RUNTIME_US)? < 0 {
+    let Some(share) = observed.system.kernel_share()? else {
         return problem!(Warning, "off: a hung loop blocks the core"
             => "sudo sysctl kernel.sched_rt_runtime_us=950000");
-    }
+    };
     let usual = CoreBudget::new(&observed.validated.config);
     let budget = usual.with_kernel_share(share);
     let costs = Costs::default();
@@ -71,11 +69,7 @@ pub(super) fn rt_throttling(observed: &Observations) -> Assessed {
         budget.describe(costs)
     );
     let is_usual = budget.solve_ns(costs) == usual.solve_ns(costs);
-    warn_unless(
-        is_usual,
-        value,
-        "sudo sysctl kernel.sched_rt_runtime_us=950000",
-    )
+    warn_unless!(is_usual, "{value}" => "sudo sysctl kernel.sched_rt_runtime_us=950000")
 }
 
 pub(super) fn rt_group(observed: &Observations) -> Assessed {
