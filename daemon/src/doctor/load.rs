@@ -130,7 +130,8 @@ pub(super) fn interrupts(observed: &Observations) -> Assessed {
     let one = |of: &Interrupt| format!("{} ({}) {:.0}/s", of.label, of.description, of.rate_hz);
     let each = named(rates.iter().map(one));
     let devices: Vec<_> = rates.iter().filter(|rate| rate.is_device()).collect();
-    let device_hz: f64 = devices.iter().map(|rate| rate.rate_hz).sum();
+    // The sum of nothing would be -0.
+    let device_hz = devices.iter().fold(0.0, |sum, rate| sum + rate.rate_hz);
     let value = format!("{device_hz:.0}/s of devices; largest {each}");
     let Some(worst) = devices.first().filter(|_| device_hz >= INTERRUPT_HZ) else {
         return Ok(value);

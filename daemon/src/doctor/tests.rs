@@ -95,7 +95,9 @@ impl Machine {
         let text = text.replace("\\n", "\n").replace("\\t", "\t");
         let path = self.observed.system.path(path);
         create_dir_all(path.parent().unwrap()).unwrap();
-        write(path, text.replace("\\0", "\0")).unwrap();
+        let text = text.replace("\\0", "\0");
+        let parts: Vec<&[u8]> = text.split("\\xff").map(str::as_bytes).collect();
+        write(path, parts.join(&0xff)).unwrap();
     }
 
     fn watch(&mut self, seconds: u64) {
