@@ -38,7 +38,8 @@ class Connection:
         """
     def close(self, /) -> None:
         """
-        Closes the connection, and gives back everything that it had. Closing twice changes nothing.
+        Closes the connection, and gives back everything that it had: its feeds and streams end, and the robot holds. Afterwards everything but stop() raises
+        LinkError. Closing twice changes nothing.
         """
     def driver(self, /, interface: Interface = "velocity") -> Driver:
         """
@@ -119,7 +120,7 @@ class Connection:
         """
     def stop(self, /) -> None:
         """
-        Stops the robot, by whatever way there is, also where this connection hangs: the daemon's answer, or the signal USR1.
+        Stops the robot, by whatever way there is, also where this connection hangs or is closed: the daemon's answer, or the signal USR1.
 
         Raises ConnectError if no daemon runs, and RequestError if nothing confirmed the stop.
         """
@@ -259,13 +260,13 @@ class FeedReport:
 @final
 class FeedStream:
     """
-    Points that are fed as they come, from Connection.stream(): a context manager. Its thread keeps the lease. Leaving the `with` gives it back, and
-    the robot holds.
+    Points that are fed as they come, from Connection.stream(): a context manager. Its thread keeps the lease. Leaving the `with` waits for what the daemon
+    says to the last points, a second at most, and gives the lease back: the robot holds.
     """
     def __enter__(self, /) -> FeedStream: ...
     def __exit__(self, kind: object = None, _error: object = None, _trace: object = None, /) -> None:
         """
-        Ends the stream, and waits until the robot holds.
+        Ends the stream, and waits until the robot holds. Raises FeedError if the daemon has refused points.
         """
     def __repr__(self, /) -> str: ...
     @property

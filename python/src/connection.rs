@@ -33,7 +33,7 @@ use crate::robot::Robot;
 use crate::settings::{Settings, changed, known};
 use crate::trajectory::{Points, Source, Trajectory};
 use crate::wire::Records;
-use crate::worker::{Worker, once, refuse_forked_process, sleep_until};
+use crate::worker::{Closed, Worker, once, refuse_forked_process, sleep_until};
 
 use live::FETCH_EACH;
 pub(crate) use live::Live;
@@ -146,7 +146,7 @@ impl Connection {
         self.request(py, RequestKind::Home)
     }
 
-    /// Stops the robot, by whatever way there is, also where this connection hangs: the daemon's answer, or the signal USR1.
+    /// Stops the robot, by whatever way there is, also where this connection hangs or is closed: the daemon's answer, or the signal USR1.
     ///
     /// Raises ConnectError if no daemon runs, and RequestError if nothing confirmed the stop.
     fn stop(&self, py: Python<'_>) -> PyResult<()> {
@@ -180,6 +180,7 @@ impl Connection {
         budget_ms: Option<f64>,
         changes: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<()> {
+        self.worker.closed().check()?;
         if budget_ms.is_none() && changes.is_none() {
             return Ok(());
         }
@@ -233,6 +234,7 @@ impl Connection {
     /// A program that takes longer than 1.28 s for a step loses records; lost_records() counts them. A step raises LinkError if the daemon sends nothing for a second, or only commands for ten.
     #[pyo3(signature = (batch_s = 0.1))]
     fn live(slf: Bound<'_, Self>, batch_s: f64) -> PyResult<Live> {
+        slf.get().worker.closed().check()?;
         let batch = seconds("batch_s", batch_s)?;
         let robot = slf.get().address.robot.clone();
         let connection = slf.unbind();
@@ -339,20 +341,20 @@ impl Connection {
     ) -> PyResult<Feed> {
         let points = Points::from_arrays(t, xyz, quaternion, axis, interpolation)?;
         let source = Source::Points(std::sync::Arc::new(points));
-        Feed::new(self.address.clone(), source, track, lead_s)
+        Feed::new(self.origin()?, source, track, lead_s)
     }
 
     /// As feed, of a Trajectory.
     #[pyo3(signature = (trajectory, *, track = true, lead_s = 0.3))]
     fn feed_trajectory(&self, trajectory: &Trajectory, track: bool, lead_s: f64) -> PyResult<Feed> {
         let source = trajectory.source.clone();
-        Feed::new(self.address.clone(), source, track, lead_s)
+        Feed::new(self.origin()?, source, track, lead_s)
     }
 
     /// A feed of points that are not yet known, to be used in a `with`: send() adds some. Otherwise as feed.
     #[pyo3(signature = (*, interpolation: "Interpolation" = "cubic", track = true))]
     fn stream(&self, interpolation: &str, track: bool) -> PyResult<FeedStream> {
-        FeedStream::new(self.address.clone(), interpolation, track)
+        FeedStream::new(self.origin()?, interpolation, track)
     }
 
     /// The ports of a driver process. interface: which part of a command it obeys. Raises ConnectError. Of two drivers the daemon refuses the measurements of the second (docs/drivers.md).
@@ -362,13 +364,15 @@ impl Connection {
         DriverPort::open(py, &self.address, interface_of(interface)?, model)
     }
 
-    /// Closes the connection, and gives back everything that it had. Closing twice changes nothing.
+    /// Closes the connection, and gives back everything that it had: its feeds and streams end, and the robot holds. Afterwards everything but stop() raises
+    /// LinkError. Closing twice changes nothing.
     fn close(&self, py: Python<'_>) {
         self.worker.close(py);
     }
 
     fn __enter__(slf: Py<Self>) -> PyResult<Py<Self>> {
         refuse_forked_process()?;
+        slf.get().worker.closed().check()?;
         Ok(slf)
     }
 
@@ -389,6 +393,13 @@ impl Connection {
 }
 
 impl Connection {
+    /// For a feed or stream of this connection, while it is open.
+    fn origin(&self) -> Result<(Address, Closed), Failure> {
+        let closed = self.worker.closed();
+        closed.check()?;
+        Ok((self.address.clone(), closed.clone()))
+    }
+
     fn snapshot(&self, py: Python<'_>, timeout_s: f64) -> PyResult<Box<Status>> {
         let (begin, until) = (Instant::now(), until("timeout_s", timeout_s)?);
         let status = self.worker.poll_on_thread(py, until, |desk, slice| {

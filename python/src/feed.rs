@@ -14,6 +14,7 @@ use crate::errors::Failure;
 use crate::numbers::{until, within};
 use crate::running::{Running, exit_result, wait_until_holding};
 use crate::trajectory::{Source, wire_interpolation};
+use crate::worker::Closed;
 
 /// Range of the time from the begin of the `with` to the first point [s].
 const LEAD_S: RangeInclusive<f64> = 0.05..=60.0;
@@ -22,6 +23,7 @@ const LEAD_S: RangeInclusive<f64> = 0.05..=60.0;
 #[derive(Default)]
 struct Shared {
     stop: AtomicBool,
+    closed: Closed,
     progress: Mutex<Option<FeedProgress>>,
 }
 
@@ -92,7 +94,7 @@ impl From<Report> for FeedReport {
 
 impl Feed {
     pub(crate) fn new(
-        address: Address,
+        (address, closed): (Address, Closed),
         source: Source,
         track: bool,
         lead_s: f64,
@@ -109,7 +111,10 @@ impl Feed {
             address,
             source,
             options,
-            shared: Arc::default(),
+            shared: Arc::new(Shared {
+                closed,
+                ..Shared::default()
+            }),
             running: Running::new("feed"),
         })
     }
@@ -127,6 +132,7 @@ impl Feed {
 impl Feed {
     fn __enter__(slf: Bound<'_, Self>) -> PyResult<Bound<'_, Self>> {
         let feed = slf.get();
+        feed.shared.closed.check()?;
         let (address, source, options) = (feed.address.clone(), feed.source.clone(), feed.options);
         let shared = Arc::clone(&feed.shared);
         let run = move |begun: &Sender<bool>| run(&address, &source, options, &shared, begun);
@@ -203,7 +209,7 @@ fn run(
                 let _ = begun.send(true);
             }
         }
-        if shared.stop.load(Ordering::Relaxed) {
+        if shared.stop.load(Ordering::Relaxed) || shared.closed.is_set() {
             ControlFlow::Break(())
         } else {
             ControlFlow::Continue(())

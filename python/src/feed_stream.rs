@@ -1,9 +1,10 @@
 //! Points that are fed as they come.
 
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{
@@ -23,20 +24,23 @@ use crate::errors::{Class, Failure};
 use crate::numbers::SECONDS;
 use crate::running::{Running, TURN, exit_result, wait_until_holding};
 use crate::trajectory::{interpolation, orientations, wire_interpolation};
-use crate::worker::forked;
+use crate::worker::{Closed, forked};
 
 /// Counts of a stream of points.
 #[derive(Default)]
 struct Counts {
     sent: AtomicU64,
     accepted: AtomicU64,
+    /// The `with` was left by an exception, which takes precedence over what the daemon says to the last points.
+    abandoned: AtomicBool,
 }
 
-/// Points that are fed as they come, from Connection.stream(): a context manager. Its thread keeps the lease. Leaving the `with` gives it back, and
-/// the robot holds.
+/// Points that are fed as they come, from Connection.stream(): a context manager. Its thread keeps the lease. Leaving the `with` waits for what the daemon
+/// says to the last points, a second at most, and gives the lease back: the robot holds.
 #[pyclass(frozen, module = "cdcr")]
 pub(crate) struct FeedStream {
     address: Address,
+    closed: Closed,
     interpolation: Interpolation,
     track: bool,
     counts: Arc<Counts>,
@@ -56,10 +60,12 @@ struct Points {
 impl FeedStream {
     fn __enter__(slf: Bound<'_, Self>) -> PyResult<Bound<'_, Self>> {
         let stream = slf.get();
+        stream.closed.check()?;
         let (port, orders) = channel();
         let desk = StreamThread {
             orders,
             address: stream.address.clone(),
+            closed: stream.closed.clone(),
             interpolation: stream.interpolation,
             track: stream.track,
             counts: Arc::clone(&stream.counts),
@@ -113,7 +119,7 @@ impl FeedStream {
         self.counts.accepted.load(Ordering::Relaxed)
     }
 
-    /// Ends the stream, and waits until the robot holds.
+    /// Ends the stream, and waits until the robot holds. Raises FeedError if the daemon has refused points.
     #[pyo3(signature = (kind: "object" = None, _error: "object" = None, _trace: "object" = None, /))]
     fn __exit__(
         &self,
@@ -123,6 +129,8 @@ impl FeedStream {
         _trace: Option<Py<PyAny>>,
     ) -> PyResult<()> {
         if !self.running.is_forked() {
+            let is_abandoned = kind.is_some();
+            self.counts.abandoned.store(is_abandoned, Ordering::Relaxed);
             drop(self.close());
         }
         exit_result(kind.as_ref(), self.running.wait(py, None))
@@ -136,10 +144,15 @@ impl FeedStream {
 }
 
 impl FeedStream {
-    pub(crate) fn new(address: Address, interpolation: &str, track: bool) -> PyResult<Self> {
+    pub(crate) fn new(
+        (address, closed): (Address, Closed),
+        interpolation: &str,
+        track: bool,
+    ) -> PyResult<Self> {
         let interpolation = wire_interpolation(self::interpolation(interpolation)?);
         Ok(Self {
             address,
+            closed,
             interpolation,
             track,
             counts: Arc::default(),
@@ -157,6 +170,7 @@ impl FeedStream {
         if self.running.is_forked() {
             return Err(forked());
         }
+        self.closed.check()?;
         let open = self.lock().clone();
         open.ok_or_else(|| {
             self.running.failure(
@@ -240,10 +254,13 @@ const AT_ONCE: u64 = 4;
 const LONGER_EACH: Duration = Duration::from_millis(2);
 /// Time without an event after which a chunk is sent nevertheless, because events of chunks may be lost.
 const SILENCE: Duration = Duration::from_millis(200);
+/// Time limit for the events of the last chunks once the `with` is left, as for those of obstacles. The lease is not renewed meanwhile.
+const LAST_ANSWERS: Duration = Duration::from_secs(1);
 
 /// State of the thread of a stream.
 struct StreamThread {
     address: Address,
+    closed: Closed,
     orders: Receiver<Vec<ReferencePoint>>,
     interpolation: Interpolation,
     track: bool,
@@ -284,9 +301,12 @@ impl StreamThread {
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
-                    drop(lease);
-                    return wait_until_holding(&self.address, &mut telemetry);
+                    self.finish(connection, &mut telemetry, &mut followed, &mut outbox)?;
+                    break;
                 }
+            }
+            if self.closed.is_set() {
+                break;
             }
             let accepted_ns =
                 self.process_telemetry(connection, &mut telemetry, &mut followed, &mut outbox)?;
@@ -299,6 +319,29 @@ impl StreamThread {
             }
             renew(&lease, &mut renewed_ns)?;
         }
+        drop(lease);
+        wait_until_holding(&self.address, &mut telemetry)
+    }
+
+    /// Sends what waits, and fails for what the daemon refuses of it.
+    fn finish(
+        &self,
+        connection: &Connection,
+        telemetry: &mut TelemetryStream,
+        followed: &mut Followed,
+        outbox: &mut Outbox,
+    ) -> Result<(), Failure> {
+        let until = Instant::now() + LAST_ANSWERS;
+        let is_over = || {
+            let is_asked = self.counts.abandoned.load(Ordering::Relaxed) || self.closed.is_set();
+            is_asked || Instant::now() >= until
+        };
+        while !outbox.is_answered() && !is_over() {
+            self.process_telemetry(connection, telemetry, followed, outbox)?;
+            self.send(outbox)?;
+            thread::sleep(TURN);
+        }
+        Ok(())
     }
 
     /// Points that wait longer than usual share a chunk.
@@ -384,6 +427,10 @@ impl Outbox {
         self.sent = header.sequence;
         self.sent_at = Instant::now();
         Ok(())
+    }
+
+    fn is_answered(&self) -> bool {
+        self.waiting.is_empty() && self.evaluated >= self.sent
     }
 
     fn note_evaluated(&mut self, sequence: u64) {

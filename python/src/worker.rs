@@ -2,8 +2,9 @@
 //! the interpreter's lock, and checks for signals while it waits.
 
 use std::process;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -21,7 +22,25 @@ type Job<D> = Box<dyn FnOnce(&mut D) + Send>;
 /// The thread with its desk, which is created and dropped on it.
 pub(crate) struct Worker<D: 'static> {
     open: Mutex<Option<Open<D>>>,
+    closed: Closed,
     process_id: u32,
+}
+
+/// Whether close() was called, for what was made from a connection and has a thread of its own.
+#[derive(Clone, Default)]
+pub(crate) struct Closed(Arc<AtomicBool>);
+
+impl Closed {
+    pub(crate) fn is_set(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    pub(crate) fn check(&self) -> Result<(), Failure> {
+        if self.is_set() {
+            return Err(closed());
+        }
+        Ok(())
+    }
 }
 
 struct Open<D> {
@@ -54,6 +73,7 @@ impl<D: 'static> Worker<D> {
         wait(py, is_made)??;
         Ok(Self {
             open: Mutex::new(Some(Open { jobs, thread })),
+            closed: Closed::default(),
             process_id: process::id(),
         })
     }
@@ -98,12 +118,12 @@ impl<D: 'static> Worker<D> {
         let open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
         match &*open {
             Some(open) => Ok(open.jobs.clone()),
-            None => Err(Failure::new(
-                Class::Link,
-                "the connection or driver is closed",
-                "Make another one, with cdcr.connect().",
-            )),
+            None => Err(closed()),
         }
+    }
+
+    pub(crate) fn closed(&self) -> &Closed {
+        &self.closed
     }
 
     /// Ends the thread, and waits until it has dropped everything. A second call has no effect.
@@ -111,6 +131,7 @@ impl<D: 'static> Worker<D> {
         if self.process_id != process::id() {
             return;
         }
+        self.closed.0.store(true, Ordering::Relaxed);
         let open = self
             .open
             .lock()
@@ -206,6 +227,14 @@ pub(crate) fn forked() -> Failure {
         Class::Link,
         "this process was forked from one that had connected to a daemon; what that opened cannot be shared",
         "Start processes with multiprocessing.get_context(\"spawn\").",
+    )
+}
+
+fn closed() -> Failure {
+    Failure::new(
+        Class::Link,
+        "the connection or driver is closed",
+        "Make another one, with cdcr.connect().",
     )
 }
 

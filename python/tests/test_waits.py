@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import cdcr
-from conftest import TIMEOUT_S, Daemon, curve, eventually
+from conftest import TIMEOUT_S, Daemon, curve, eventually, mode
 
 NEVER = [float("nan"), float("inf"), -float("inf"), -1.0, -1e-9, 1e19, 1e300]
 POINTS = [0.0, 600.0], [[0, 0, 0.9], [0, 0.1, 0.89]]
@@ -108,6 +108,51 @@ def test_closing_while_another_thread_waits_ends_that_wait_by_an_error(daemon: D
     connection.close()
     waiting.join(TIMEOUT_S)
     assert len(raised) == 1 and "closed" in str(raised[0]) and isinstance(raised[0], cdcr.LinkError)
+
+
+def test_a_closed_connection_moves_nothing(daemon: Daemon) -> None:
+    """But a stop is not refused."""
+    connection = daemon.connect()
+    t, xyz = curve(connection.robot(), 60.0)
+    running, early, late = connection.feed(t, xyz), connection.feed(t, xyz), connection.stream()
+    running.__enter__()
+    connection.close()
+    assert not running.wait(TIMEOUT_S).played
+    calls = [connection.__enter__, early.__enter__, late.__enter__, lambda: connection.feed(t, xyz), connection.stream]
+    calls += [lambda: connection.feed_trajectory(cdcr.Trajectory.from_arrays(t, xyz)), connection.track, connection.driver]
+    calls += [connection.live, connection.change_settings, lambda: connection.set_obstacles({}), connection.lost_records]
+    for call in calls:
+        with pytest.raises(cdcr.LinkError, match="the connection or driver is closed"):
+            call()
+    with daemon.connect() as other:
+        assert mode(other) is cdcr.Mode.HOLDING
+        with other.stream() as stream:
+            stream.send(stream.now() + 0.3 + t[:400], xyz[:400])
+            eventually(lambda: other.status()["mode"] is cdcr.Mode.TRACKING)
+            other.close()
+            with pytest.raises(cdcr.LinkError, match="closed"):
+                stream.send(stream.now() + 5.0, xyz[0])
+    connection.stop()
+    with daemon.connect() as other:
+        eventually(lambda: other.status()["mode"] is cdcr.Mode.STOPPED)
+
+
+def test_what_the_daemon_says_to_the_last_points_is_raised_by_leaving(daemon: Daemon) -> None:
+    with daemon.connect() as connection:
+        for track in (True, False):
+            with pytest.raises(cdcr.FeedError, match="reachable"):
+                with connection.stream(track=track) as stream:
+                    stream.send(stream.now() + 1.0, [0, 0, 5.0])
+            # Every point was sent, and an exception is not replaced.
+            with connection.stream(track=track) as stream:
+                begin_s = stream.now() + 2.0
+                for k in range(40):
+                    stream.send(begin_s + 0.02 * k, [0, 0, 0.89])
+            assert stream.accepted_chunks == stream.sent_chunks > 0
+            with pytest.raises(ZeroDivisionError):
+                with connection.stream(track=track) as stream:
+                    stream.send(stream.now() + 1.0, [0, 0, 5.0])
+                    raise ZeroDivisionError
 
 
 def ended(call: Callable[[], object]) -> None:
