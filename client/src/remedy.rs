@@ -40,7 +40,8 @@ pub fn remedy(outcome: Outcome) -> &'static str {
             "Send less far ahead, or wait until points have been played; or remove obstacles."
         }
         Outcome::CountOutOfRange | Outcome::OutOfRange => {
-            "See the ranges in the documentation of the message. A time span must not end before it begins (rested_from_ns, rested_until_ns)."
+            "See the ranges in the documentation of the message. A point of a reference lies a day ahead at most. The time span of a measurement must not end before it begins \
+             (rested_from_ns, rested_until_ns)."
         }
         Outcome::UnknownCode => "Use client and daemon of one version.",
         Outcome::NotUnit => "Normalise the axis or quaternion.",

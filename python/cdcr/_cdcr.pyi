@@ -656,7 +656,7 @@ class Trajectory:
         """
         Points of your own.
 
-        t: (k,) [s], increasing by 1 µs at least, a day long at most; time counts from the first. xyz: (k, 3) [m], base frame. quaternion: (k, 4), x, y, z, w, of unit
+        t: (k,) [s], increasing by 1 µs at least, by 86280 s at most, a day long at most; time counts from the first. xyz: (k, 3) [m], base frame. quaternion: (k, 4), x, y, z, w, of unit
         length, or axis: (k, 3), a unit vector, if the tip's orientation counts. interpolation: cubic or "linear".
         Raises ArgumentError for wrong shapes, NaN, times that do not increase, and what is not of unit length.
         """

@@ -24,6 +24,9 @@ pub(crate) type Curve = dyn cdcr_client::Trajectory + Send + Sync;
 const SMALLEST: f64 = 1e-6;
 const LARGEST: f64 = 1e6;
 
+/// Longest time between two points \[s\]: the daemon takes points that are a day ahead at most, and `lead_s`, 60 s at most, comes before the first.
+const GAP_MAX_S: f64 = DURATION_MAX_S - 120.0;
+
 /// What the tip shall follow: a curve in time, which counts from its start. Immutable.
 #[pyclass(frozen, module = "cdcr")]
 pub(crate) struct Trajectory {
@@ -98,7 +101,7 @@ impl Trajectory {
 
     /// Points of your own.
     ///
-    /// t: (k,) [s], increasing by 1 µs at least, a day long at most; time counts from the first. xyz: (k, 3) [m], base frame. quaternion: (k, 4), x, y, z, w, of unit
+    /// t: (k,) [s], increasing by 1 µs at least, by 86280 s at most, a day long at most; time counts from the first. xyz: (k, 3) [m], base frame. quaternion: (k, 4), x, y, z, w, of unit
     /// length, or axis: (k, 3), a unit vector, if the tip's orientation counts. interpolation: "cubic" or "linear".
     /// Raises ArgumentError for wrong shapes, NaN, times that do not increase, and what is not of unit length.
     #[staticmethod]
@@ -218,6 +221,13 @@ impl Points {
             "the time from the first t to the last",
             lasts_s,
             0.0..=DURATION_MAX_S,
+        )?;
+        let gaps_s = times_s.windows(2).map(|pair| pair[1] - pair[0]);
+        let longest_s = gaps_s.fold(0.0, f64::max);
+        within(
+            "the time from one t to the next",
+            longest_s,
+            0.0..=GAP_MAX_S,
         )?;
         let points = times_s
             .iter()

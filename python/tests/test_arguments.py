@@ -138,7 +138,10 @@ def test_sizes_that_no_memory_holds_are_refused() -> None:
 
 
 def test_a_trajectory_is_a_day_long_at_most() -> None:
-    assert cdcr.Trajectory.from_arrays([5, 86_405], XYZ).duration_s == 86_400
+    assert cdcr.Trajectory.from_arrays([5, 7, 86_285], XYZ[[0, 1, 1]]).duration_s == 86_280
+    # A daemon does not take a point that is so far ahead.
+    with pytest.raises(cdcr.ArgumentError, match="from one t to the next is 86400"):
+        cdcr.Trajectory.from_arrays([5, 86_405], XYZ)
     for t in ([0, 86_401], [0, 1e300], [-1e308, 1e308]):
         with pytest.raises(cdcr.ArgumentError, match="86400"):
             cdcr.Trajectory.from_arrays(t, XYZ)
