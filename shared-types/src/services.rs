@@ -103,6 +103,8 @@ impl Service {
     pub const NODES: usize = 40;
     /// Places for drivers beyond [`Self::NODES`]: one, and its replacement.
     pub const DRIVERS: usize = 2;
+    /// Maximum number of readers of the telemetry.
+    const TELEMETRY_READERS: usize = 8;
 
     /// Last part of the service's name.
     pub const fn key(self) -> &'static str {
@@ -131,21 +133,25 @@ impl Service {
     /// Queue lengths, for all but [`Service::Control`].
     pub const fn queues(self) -> QueueLengths {
         let (publishers, subscribers, kept, queue, history) = match self {
-            // 32 chunks: the whole reference buffer of the daemon.
-            Self::Reference => (8, 4, 1, 32, 0),
-            Self::Obstacles => (8, 4, 1, 16, 0),
+            // 32 chunks: the whole reference buffer of the daemon. Beside the daemon as many readers as of the telemetry: what records, or shows a
+            // scene, reads all three. Each takes 18 KiB of a writer of references, 13 KiB of one of obstacles.
+            Self::Reference => (8, Self::TELEMETRY_READERS + 1, 1, 32, 0),
+            Self::Obstacles => (8, Self::TELEMETRY_READERS + 1, 1, 16, 0),
             // A driver, its replacement, and a tip sensor. Messages are small, so every connected process may read.
             Self::Measurement => (3, Self::NODES + 1, 1, 16, 0),
             Self::Command => (1, Self::NODES + Self::DRIVERS, Self::DRIVERS, 16, 0),
             // 256 records, 4 MB: 1.28 s at 5 ms.
-            Self::Telemetry => (1, 8, 0, 256, 0),
+            Self::Telemetry => (1, Self::TELEMETRY_READERS, 0, 256, 0),
             // Each connection reads it and may have one stream of it; a driver reads it once.
             Self::Status | Self::Control => {
                 let readers = 2 * Self::NODES + Self::DRIVERS;
                 (1, readers, Self::DRIVERS, 2, 1)
             }
-            // Few clients read bad cycles.
-            Self::Incidents => (1, 4, 0, INCIDENTS_MAX, INCIDENTS_MAX),
+            // What records reads bad cycles, too: 31 KiB for a reader.
+            Self::Incidents => {
+                let readers = Self::TELEMETRY_READERS;
+                (1, readers, 0, INCIDENTS_MAX, INCIDENTS_MAX)
+            }
         };
         QueueLengths {
             publishers,
@@ -416,6 +422,14 @@ pub fn memory_files(root: &Path, file_prefix: &str) -> Vec<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_program_that_records_everything_has_as_many_places_as_readers_of_the_telemetry() {
+        let readers = Service::Telemetry.queues().watchers();
+        for service in Service::ALL {
+            assert!(service.queues().watchers() >= readers, "{service:?}");
+        }
+    }
 
     #[test]
     fn names_are_checked_before_iceoryx2_sees_them() {
