@@ -385,7 +385,7 @@ pub(crate) struct PlotOptions {
     /// Address of the plotter
     #[arg(long, value_name = "HOST:PORT")]
     pub(crate) udp: String,
-    /// Send only this field, as in cdcrctl echo; repeatable [default: the most used fields of the telemetry]
+    /// Send only this field, as in cdcrctl echo; repeatable [default: the most used fields of the topic; all of command]
     #[arg(long, value_name = "PATH")]
     pub(crate) field: Vec<String>,
     /// Send at most this many messages per second and skip the rest
