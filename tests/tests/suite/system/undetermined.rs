@@ -45,6 +45,7 @@ fn rows_that_determine_nothing_give_nothing_to_paste() {
         "bend by up to 0.6",
         "calibrate excite",
         "actuator.play_m",
+        "coordinates of the tip exchanged",
     ];
     // Held values do not make a wrong model right.
     for options in ["--format text", "--format json", "--hold base"] {
@@ -53,4 +54,10 @@ fn rows_that_determine_nothing_give_nothing_to_paste() {
             assert!(!printed.contains(part), "{printed}");
         }
     }
+    let unknown = [
+        "no daemon is running",
+        "short.csv names no robot",
+        "--config",
+    ];
+    place.checked("cdcrctl calibrate geometry short.csv", 1, &unknown);
 }

@@ -57,7 +57,9 @@ pub(super) fn text(
         let _ = write!(
             out,
             "\nFirst correct the model: residuals of consecutive rows are correlated, which makes the bounds {correlation:.1} times as wide. \
-             It lacks an effect: actuator.play_m is {:.3} mm (docs/calibration.md), or a load, friction, or values of --hold that are wrong.",
+             It lacks an effect: actuator.play_m is {:.3} mm (docs/calibration.md), or a load, friction, or values of --hold that are wrong. \
+             Or the rows are not what they are taken for: coordinates of the tip exchanged or mirrored (a left-handed frame), cables exchanged or of \
+             the other sign, tips later than the cables of their row.",
             1e3 * recording.play_m
         );
     } else {
@@ -66,4 +68,23 @@ pub(super) fn text(
         );
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_correlated_residuals_the_causes_are_named() {
+        let rows = CalibrationRows {
+            rows: Vec::new(),
+            duration_s: 1.0,
+            play_m: 0.0,
+        };
+        let text = |correlation| text(&RobotParameters::paper(1), &rows, correlation);
+        for cause in ["play_m", "mirrored", "exchanged", "sign", "later"] {
+            assert!(text(3.0).contains(cause), "{cause}");
+            assert!(!text(1.0).contains(cause), "{cause}");
+        }
+    }
 }

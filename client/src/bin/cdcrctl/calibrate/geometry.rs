@@ -25,6 +25,9 @@ pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<
     } else {
         of_rows(target, options)?
     };
+    recording
+        .check_units(&robot)
+        .with_context(|| name.to_string())?;
     let play_m = recording.play_m;
     let recording = recording.behind_play(play_m);
     let hold: Vec<ParameterGroup> = options.hold.iter().map(|hold| hold.0).collect();
@@ -84,7 +87,13 @@ fn of_rows(
     let (robot, play_m) = if let Some(path) = &options.config {
         configured(path)?
     } else {
-        let record = newest(&target.connect()?)?;
+        let connection = target.connect().with_context(|| {
+            format!(
+                "{} names no robot: give the configuration of the recorded one with --config, or start its daemon",
+                path.display()
+            )
+        })?;
+        let record = newest(&connection)?;
         (described(&record.robot)?, record.play_m)
     };
     let recording = CalibrationRows::parse(path, &text, 3 * robot.sections.len())?;

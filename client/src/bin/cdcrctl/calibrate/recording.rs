@@ -1,14 +1,17 @@
 use std::io::Read;
 use std::path::Path;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use cdcr_client::{FileTrajectory, Orientation, Trajectory, counted};
 use cdcr_controller::calibration::{CalibrationRow, behind_play};
-use cdcr_controller::robot::CABLES_MAX;
+use cdcr_controller::robot::{CABLES_MAX, RobotParameters};
 use nalgebra::{Quaternion, UnitQuaternion};
 
 /// Largest magnitude of a length: a larger one has another unit.
 const MAGNITUDE_MAX: f64 = 4e9;
+
+/// Lengths of rows that exceed the robot's by more than this factor are in another unit. A sensor may be far away.
+const UNIT_FACTOR: f64 = 100.0;
 
 /// Header of a recording of a robot with this number of cables.
 pub(super) fn header(cables: usize) -> Vec<String> {
@@ -29,6 +32,35 @@ pub(super) struct CalibrationRows {
 }
 
 impl CalibrationRows {
+    /// Fails if most rows have lengths that a robot of this size cannot have in m.
+    pub(super) fn check_units(&self, robot: &RobotParameters) -> anyhow::Result<()> {
+        let reach_m: f64 = robot.sections.iter().map(|section| section.length_m).sum();
+        let cables = 3 * robot.sections.len();
+        let cable_m = |row: &CalibrationRow| {
+            row.cable_length_m[..cables]
+                .iter()
+                .fold(0.0, |most: f64, m| most.max(m.abs()))
+        };
+        let tip_m = |row: &CalibrationRow| row.tip_position_m.norm();
+        let check = |what: &str, length_m: &dyn Fn(&CalibrationRow) -> f64| {
+            let mut lengths_m = self
+                .rows
+                .iter()
+                .map(length_m)
+                .filter(|m| *m > UNIT_FACTOR * reach_m);
+            let Some(first_m) = lengths_m.next() else {
+                return Ok(());
+            };
+            ensure!(
+                2 * (1 + lengths_m.count()) <= self.rows.len(),
+                "most rows have a {what} of more than {UNIT_FACTOR:.0} robot lengths ({first_m:.1} m of {reach_m:.3} m): are these millimetres? Columns are in m"
+            );
+            Ok(())
+        };
+        check("cable", &cable_m)?;
+        check("distance of the tip", &tip_m)
+    }
+
     /// The same with the lengths of the cables behind their play.
     pub(super) fn behind_play(self, play_m: f64) -> Self {
         Self {
@@ -138,6 +170,34 @@ mod tests {
         assert_eq!(row.cable_length_m[..4], [0.31, 0.32, 0.33, 0.0]);
         assert_eq!(row.tip_position_m, Vector3::new(0.1, 0.2, 0.3));
         assert_eq!(row.tip_rotation, Some(UnitQuaternion::identity()));
+    }
+
+    #[test]
+    fn millimetres_are_named_and_a_stray_row_is_not() {
+        let robot = RobotParameters::paper(1);
+        let checked = |cable: f64, tips: [f64; 3]| {
+            let [a, b, c] = tips;
+            let text = format!(
+                "t_s,cable_1_m,cable_2_m,cable_3_m,x_m,y_m,z_m\n0,{cable},0.3,0.3,0,0,{a}\n1,{cable},0.3,0.3,0,0,{b}\n2,{cable},0.3,0.3,0,0,{c}\n"
+            );
+            let checked = parse(&text).expect("good").check_units(&robot);
+            checked
+                .map_err(|error| error.to_string())
+                .err()
+                .unwrap_or_default()
+        };
+        assert_eq!(checked(0.3, [0.3, 0.29, 5000.0]), "");
+        let error = checked(0.3, [300.0, 0.29, 290.0]);
+        assert!(
+            error.contains("distance of the tip of more than 100 robot lengths (300.0 m")
+                && error.contains("millimetres"),
+            "{error}"
+        );
+        let error = checked(310.0, [0.3, 0.29, 0.28]);
+        assert!(
+            error.contains("a cable of more than 100 robot lengths (310.0 m"),
+            "{error}"
+        );
     }
 
     #[test]
