@@ -1,4 +1,5 @@
 /* A complete driver with a simulated robot: replace length_m by your motors and encoders (docs/c.md, docs/drivers.md). */
+#define _POSIX_C_SOURCE 200809L /* nanosleep, also with -std=c11 */
 #include <signal.h>
 #include <stdio.h>
 #include <string.h>

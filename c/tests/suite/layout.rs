@@ -8,7 +8,7 @@ use cdcr_shared_types::codes::{Mode, Outcome, guard};
 use cdcr_shared_types::{LAYOUTS, limits};
 use cdcr_test_skip::{Need, skip};
 
-use super::refused;
+use super::{include, refused};
 
 /// A source that compiles only if each offset is that of Rust plus `more`.
 fn source(more: usize, assert: &str) -> String {
@@ -75,6 +75,16 @@ fn c_lays_everything_out_as_rust_does() {
     // With C99, the compiler checks the sizes, too.
     let reported = refused("cc", "c99", "#include \"cdcr.h\"\n");
     assert_eq!(reported.unwrap(), "");
+}
+
+#[test]
+fn the_examples_compile_in_strict_c() {
+    for example in ["driver.c", "feed.c"] {
+        let path = include().join("../examples").join(example);
+        let source = std::fs::read_to_string(path).unwrap();
+        let reported = refused("cc", "c11", &source);
+        assert_eq!(reported.expect("a C compiler"), "", "{example}");
+    }
 }
 
 #[test]

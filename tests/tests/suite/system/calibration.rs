@@ -258,7 +258,8 @@ fn an_exciting_path_that_cannot_be_is_refused_before_anything_moves() {
     );
     // The named duration is enough.
     let line = "cdcrctl calibrate excite -o moved.csv --dry-run --duration";
-    let reported = place.checked(&format!("{line} 5s"), 1, &["use --duration "]);
+    let short = ["too short for a round of this robot", "use --duration "];
+    let reported = place.checked(&format!("{line} 5s"), 1, &short);
     let (_, needed) = reported.split_once("use --duration ").unwrap();
     let (needed, _) = needed.split_once(' ').unwrap();
     place.checked(&format!("{line} {needed}"), 0, &["length"]);

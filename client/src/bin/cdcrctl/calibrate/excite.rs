@@ -258,9 +258,13 @@ fn faster(
 
 /// At one round, the rates are inverse to the duration; a tenth more is for the next attempts.
 fn too_short(asked_s: f64, bounds: Bounds, round_s: f64) -> String {
+    let rate = if bounds.is_rate_asked {
+        format!("--rate-max {:.3}", bounds.rate_rad_s)
+    } else {
+        "a round of this robot".to_owned()
+    };
     format!(
-        "{asked_s:.1} s is too short for --rate-max {:.3}; nothing moved: use --duration {:.0}s or longer",
-        bounds.rate_rad_s,
+        "{asked_s:.1} s is too short for {rate}; nothing moved: use --duration {:.0}s or longer",
         (1.1 * round_s).ceil()
     )
 }

@@ -88,7 +88,18 @@ fn merged(
             put(&mut document, table, key, value)?;
         }
     }
-    Ok((document.to_string(), changed))
+    let merged = document.to_string();
+    // The TOML writer ends its lines by LF.
+    let has_crlf = text
+        .split_inclusive('\n')
+        .next()
+        .is_some_and(|line| line.ends_with("\r\n"));
+    let merged = if has_crlf {
+        merged.replace("\r\n", "\n").replace('\n', "\r\n")
+    } else {
+        merged
+    };
+    Ok((merged, changed))
 }
 
 /// Table and key of a setting in the configuration.
@@ -306,6 +317,13 @@ mod tests {
             text.replace("= 3 ", "= 5 ")
                 .replace("# as it is\n", "# as it is\nseed = 7\n")
         );
+    }
+
+    #[test]
+    fn line_ends_stay() {
+        let text = "# My robot.\r\n[controller]\r\nhorizon_steps = 3 # far\r\n\r\n[robot]\r\nname = \"arm\"\r\n";
+        let changed = text.replace("= 3 ", "= 5 ");
+        assert_eq!(text_of(text, &["horizon_steps=5"]), changed);
     }
 
     #[test]
