@@ -299,7 +299,7 @@ fn of_rate_weight(config: &Config) -> Option<String> {
 fn of_rate_change_weight(config: &Config) -> Option<String> {
     let rate_weight = match config.controller.rate_weight {
         RateWeight::Auto => RateWeight::auto(config.link.is_ideal()),
-        weight => weight,
+        weight @ RateWeight::Of(_) => weight,
     };
     let warning = rate_change_weight_warning(
         rate_weight.into(),

@@ -394,10 +394,10 @@ fn a_robot_with_play_stays_where_it_is_sent() {
     }
 }
 
-/// The statement in docs/tuning.md about `--tuning smooth`: a plan that may not reverse quickly stays
-/// within the play.
+/// The statement in docs/tuning.md about `--tuning smooth`. With the smallest weight of the rates a plan that may not reverse quickly stayed
+/// within the play, and the robot swung by 1.4 to 4.8 mm.
 #[test]
-fn the_weights_of_the_tuning_smooth_make_a_robot_with_play_swing() {
+fn the_weights_of_the_tuning_smooth_let_a_robot_with_play_rest() {
     let settings = NmpcSettings {
         rate_weight: RateWeight::Of(1e-7),
         rate_change_weight: 1e-5,
@@ -419,7 +419,7 @@ fn the_weights_of_the_tuning_smooth_make_a_robot_with_play_swing() {
         };
         let mm = eight.rest(driven).unwrap().error_mm;
         println!("known as {known_m} m, lag {lag_s} s: {mm} mm");
-        assert!((1.3..4.8).contains(&mm), "{known_m} m, {lag_s} s: {mm} mm");
+        assert!(mm < 0.4, "{known_m} m, {lag_s} s: {mm} mm");
     }
 }
 
@@ -451,7 +451,7 @@ fn the_body_rests_where_the_tip_rests() {
             .with_acceleration(5.0)
             .with_driven(driven)
             .unwrap();
-        let mut ends_m = [6.0, 20.0].map(|until_s| {
+        let ends_m = [6.0, 20.0].map(|until_s| {
             while closed.time_s() < until_s {
                 closed.step(&mut nmpc);
             }

@@ -260,25 +260,34 @@ mod tests {
     }
 
     #[test]
-    fn counts_that_were_zeroed_with_the_configured_lengths_are_told_the_change() {
-        let (robot, mut recording) = rows(0.0, 0.0, 0.35);
+    fn counts_that_were_zeroed_with_other_lengths_are_told_the_change() {
+        let (robot, mut recording) = rows(0.0, 0.0, 0.7);
+        let found = calibrate(&robot, &recording.rows, &[]).expect("a calibration");
         let text = |recording: &CalibrationRows| {
-            let found = calibrate(&robot, &recording.rows, &[]).expect("a calibration");
             report::text(Path::new("rows.csv"), &robot, recording, &found).expect("text")
         };
         let change = "# For the driver: these three cables were recorded with 0.";
-        assert!(!text(&recording).contains(change));
-        for row in &mut recording.rows {
-            // The sections are 9 mm longer and 10.5 mm shorter than configured.
-            for (length_m, longer_m) in row.cable_length_m.chunks_mut(3).zip([9e-3, -1.5e-3]) {
-                length_m
-                    .iter_mut()
-                    .for_each(|length_m| *length_m -= longer_m);
+        let mut move_to = |straight_m: [f64; 2]| {
+            for row in &mut recording.rows {
+                for (cables_m, straight_m) in row.cable_length_m.chunks_mut(3).zip(straight_m) {
+                    let more_m = straight_m - cables_m.iter().sum::<f64>() / 3.0;
+                    for length_m in cables_m {
+                        *length_m += more_m;
+                    }
+                }
             }
-        }
-        let text = text(&recording);
-        let mut changes = text.lines().filter_map(|line| line.strip_prefix(change));
-        for (recorded, more) in [("300", "or subtract -0.00"), ("600", "or subtract 0.00")] {
+            text(&recording)
+        };
+        let [first, second] = [0, 1].map(|j| found.geometry.robot.sections[j].length_m);
+        let right = move_to([first, first + second]);
+        assert!(!right.contains(change), "{right}");
+        // The sections were found about 9 mm longer and 10.5 mm shorter than configured.
+        let wrong = move_to([0.3, 0.6]);
+        let mut changes = wrong.lines().filter_map(|line| line.strip_prefix(change));
+        for (recorded, more) in [
+            ("300000 m", "or subtract -0.00"),
+            ("600000 m", "or subtract 0.00"),
+        ] {
             let line = changes.next().expect("a line for each section");
             assert!(line.starts_with(recorded) && line.contains(more), "{line}");
         }

@@ -8,14 +8,12 @@ use cdcr_controller::calibration::{
     Calibration, Estimate, Geometry, Parameter, ParameterGroup, TipError,
 };
 use cdcr_controller::robot::{RobotParameters, SectionParameters};
+use cdcr_shared_types::limits::BEND_TOLERANCE_RAD;
 use serde_json::{Value, json};
 
 use super::advice::{self, CORRELATED};
 use super::noise::median;
 use super::recording::CalibrationRows;
-
-/// Smallest error of a section's mean cable length that the result mentions \[m\].
-const COMMON_ERROR_M: f64 = 5e-4;
 
 /// Text, with the configuration at the end.
 pub(super) fn text(
@@ -184,7 +182,8 @@ fn fragment(
     recording: &CalibrationRows,
     found: &Calibration,
 ) -> Result<String, Error> {
-    let mut straight_m = 0.0;
+    // A driver of positions follows a first command within the tolerance.
+    let (mut straight_m, mut tolerance_m) = (0.0, 0.0);
     let mut out = String::from("# Replaces all [[robot.sections]] of the configuration:\n");
     let configured = Geometry::configured(robot);
     for (j, new) in found.geometry.robot.sections.iter().enumerate() {
@@ -225,7 +224,8 @@ fn fragment(
         }
         straight_m += new.length_m;
         let common_m = median_common_mode_m(recording, j);
-        if (common_m - straight_m).abs() > COMMON_ERROR_M {
+        tolerance_m += BEND_TOLERANCE_RAD * new.cable_radius_m;
+        if (common_m - straight_m).abs() > tolerance_m {
             writeln!(
                 out,
                 "# For the driver: these three cables were recorded with {common_m:.6} m in the mean, and have {straight_m:.6} m with the lengths found. \
