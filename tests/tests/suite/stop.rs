@@ -211,11 +211,13 @@ fn evaluate(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
     // A stall of the machine in which the last command ran out ended the ramp.
     let is_cut = |pair: &[Telemetry]| {
         let [before, now] = [&pair[0], &pair[1]];
-        let stalls = now.elapsed_ns > now.period_ns || now.timing_flags & timing::STALE_INPUTS != 0;
+        let stalls = now.elapsed_ns > now.period_ns
+            || now.timing_flags & timing::STALE_INPUTS != 0
+            || now.solve_start_ns > now.release_ns + now.period_ns;
         let moved = largest(&before.command.bend_rate_rad_s) > 0.0;
         stalls && moved && largest(&now.previous_rate_rad_s) == 0.0
     };
-    if records[at..].windows(2).any(is_cut) {
+    if records[at - 1..].windows(2).any(is_cut) {
         return None;
     }
     for pair in records[at - 1..].windows(2) {
