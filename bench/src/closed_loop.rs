@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 pub use cdcr_controller::closed_loop::{Scene, SceneLoop};
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveReport, SolverKind};
-use cdcr_controller::optimizer::Budget;
+use cdcr_controller::optimizer::{Budget, Candidate};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Pose, Shape};
 use nalgebra::Vector3;
 
@@ -29,6 +29,8 @@ pub struct Sample {
     /// Clearance of the whole body at that time \[m\]; infinite without obstacles.
     pub clearance_m: f64,
     pub solve_ns: u64,
+    pub swarm_ran: bool,
+    pub swarm_won: bool,
     /// The budget ended the solve.
     pub cut_short: bool,
     /// The clearance guard changed the command.
@@ -47,6 +49,8 @@ impl Sample {
             rates: closed.command().rates,
             clearance_m: closed.clearance_m(),
             solve_ns: time.as_nanos() as u64,
+            swarm_ran: report.iterations > 0,
+            swarm_won: report.winner == Candidate::Swarm,
             cut_short: report.budget_spent,
             guarded: closed.command().clearance_hit,
         }

@@ -41,12 +41,10 @@ pub struct Effort {
 
 impl Effort {
     fn runs(&self, experiment: &Experiment) -> u64 {
-        match (experiment.task, experiment.solver) {
-            (Task::Circle { .. }, SolverKind::KpsoRefined) => {
-                self.seeds.max(CLEARANCE_SEEDS).into()
-            }
-            _ => self.seeds.into(),
-        }
+        u64::from(match (experiment.task, experiment.solver) {
+            (Task::Circle { .. }, SolverKind::KpsoRefined) => self.seeds.max(CLEARANCE_SEEDS),
+            _ => self.seeds,
+        })
     }
 
     /// Expected duration of a run, from its particles and steps \[s\].
@@ -110,9 +108,7 @@ pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -
         let mut settings = experiment.settings();
         settings.seed = seed;
         let run = closed_loop::run(&scene, settings)?;
-        for sample in &run.0 {
-            solve_ns.saturating_record(sample.solve_ns);
-        }
+        (run.0.iter()).for_each(|sample| solve_ns.saturating_record(sample.solve_ns));
         runs.push(run_row(&experiment, &scene, &run));
         first.get_or_insert(run);
         progress();
@@ -142,6 +138,8 @@ fn run_row(experiment: &Experiment, scene: &Scene, run: &SceneRun) -> Value {
         "paper": { "mean_error_mm": paper_error_mm, "mean_solve_ms": paper_solve_ms },
         "mean_error_mm": run.mean_error_mm(),
         "max_error_mm": run.most(Sample::error_mm),
+        "swarm_ran_share": run.share(|sample| sample.swarm_ran),
+        "swarm_won_share": run.share(|sample| sample.swarm_won),
         "solve_p50_us": median(times_us),
     });
     let angles = |sample: &Sample| ZyxAngles::from_rotation(&sample.tip.rotation);
@@ -156,8 +154,7 @@ fn run_row(experiment: &Experiment, scene: &Scene, run: &SceneRun) -> Value {
             let obstacle_m = closed_loop::obstacle_m(scene);
             let distance_m = |sample: &Sample| (sample.reference_m - obstacle_m).norm();
             let errors = run.0.iter().map(|it| (distance_m(it), it.error_mm()));
-            let errors: Vec<_> = errors.collect();
-            let [outside_mm, peak_mm] = errors_mm(&errors, safe_distance_m);
+            let [outside_mm, peak_mm] = errors_mm(&Vec::from_iter(errors), safe_distance_m);
             json!({
                 "safe_distance_mm": 1e3 * safe_distance_m,
                 "min_clearance_mm": 1e3 * run.least_clearance_m(),
@@ -169,7 +166,7 @@ fn run_row(experiment: &Experiment, scene: &Scene, run: &SceneRun) -> Value {
     joined([common, own])
 }
 
-/// All seeds: medians of mean values, the worst of extreme values.
+/// All seeds: medians of mean values, the worst of extreme values, the share of all solves.
 fn row(runs: &[Value], solve_ns: &Histogram<u64>) -> Value {
     let mut row = together(runs, &[]);
     if row["name"] == "circle" {
@@ -182,6 +179,9 @@ fn row(runs: &[Value], solve_ns: &Histogram<u64>) -> Value {
         row["peak_error_mm"] = of_all("peak_error_mm").and_then(peak).into();
         row["mean_error_outside_mm"] = of_all("mean_error_outside_mm").and_then(median).into();
     }
+    for key in ["swarm_ran_share", "swarm_won_share"] {
+        row[key] = (each(runs, key).sum::<f64>() / runs.len() as f64).into();
+    }
     let mean = json!({ "mean": solve_ns.mean() * 1e-3 });
     row["solve_us"] = joined([mean, quantiles(solve_ns)]);
     row["seeds"] = runs.len().into();
@@ -193,8 +193,7 @@ fn row(runs: &[Value], solve_ns: &Histogram<u64>) -> Value {
 /// After the approach: mean error outside the detour, and largest error \[mm\]. A sample is the distance of its
 /// reference from the obstacle \[m\] and its error \[mm\].
 fn errors_mm(samples: &[(f64, f64)], safe_distance_m: f64) -> [Option<f64>; 2] {
-    let arrived = samples.iter();
-    let arrived = arrived.skip_while(|(_, error_mm)| *error_mm >= ARRIVED_MM);
+    let arrived = samples.iter().skip_while(|sample| sample.1 >= ARRIVED_MM);
     let peak_mm = arrived.clone().map(|sample| sample.1).reduce(f64::max);
     let reach_m = DETOUR_DISTANCES * safe_distance_m;
     let outside = arrived.filter(|(distance_m, _)| *distance_m >= reach_m);

@@ -129,7 +129,7 @@ impl Curve {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Scale {
     Linear,
-    /// A logarithmic y axis; values below the floor are drawn on it.
+    /// A logarithmic y axis; values below the floor are drawn on it, and its label says so.
     Log {
         floor: f64,
     },
@@ -165,6 +165,15 @@ impl Panel {
             scale,
             curves,
         }
+    }
+
+    /// Draws each curve thinner than those before it, so that none hides another.
+    #[must_use]
+    pub fn tapered(mut self) -> Self {
+        for (later, curve) in self.curves.iter_mut().rev().enumerate() {
+            curve.style.stroke_width += 3 * later as u32;
+        }
+        self
     }
 
     fn is_log(&self) -> bool {
@@ -309,6 +318,12 @@ where
     Y::CoordDescType: ValueFormatter<f64>,
 {
     let is_wide = area.dim_in_pixel().0 > WIDTH / 2;
+    let lines = panel.curves.iter().filter(|curve| curve.mark == Mark::Line);
+    let is_cut = lines.flat_map(Curve::points).any(|point| point.1 < floor);
+    let height = |y: &f64| {
+        let sign = ["", "≤"][usize::from(is_cut && *y < 1.01 * floor)];
+        format!("{sign}{}", tick(*y, panel.is_log()))
+    };
     let mut chart = ChartBuilder::on(area)
         .margin_left(MARGIN_LEFT)
         .margin_right(MARGIN_RIGHT)
@@ -326,7 +341,7 @@ where
         .x_labels(if is_wide { 12 } else { 7 })
         .y_labels(8)
         .x_label_formatter(&|x| tick(*x, panel.is_log_across()))
-        .y_label_formatter(&|y| tick(*y, panel.is_log()))
+        .y_label_formatter(&height)
         .bold_line_style(PALE.stroke_width(2))
         .light_line_style(TRANSPARENT)
         .draw()?;
@@ -446,6 +461,20 @@ mod tests {
             let drawn = svg((1, 500), &[panel]).expect("drawn");
             assert!(drawn.contains("nothing"));
         }
+    }
+
+    #[test]
+    fn an_axis_that_cuts_values_off_says_so_and_no_curve_hides_another() {
+        let drawn = |least| {
+            let curve = |label| Curve::line(label, vec![(0.0, least), (1.0, 10.0)], BLUE);
+            let curves = vec![curve("one"), curve("other")];
+            let panel = Panel::new("", ["x", "y"], Scale::Log { floor: 0.01 }, curves);
+            svg((1, 500), &[panel.tapered()]).expect("drawn")
+        };
+        assert!(drawn(1e-5).contains("≤0.01") && !drawn(0.02).contains('≤'));
+        let count = |width: &str| drawn(0.02).matches(width).count();
+        let counts = ["stroke-width=\"4\"", "stroke-width=\"7\""].map(count);
+        assert_eq!(counts, [2, 2], "each in legend and chart");
     }
 
     #[test]

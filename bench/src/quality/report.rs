@@ -15,7 +15,7 @@ pub(super) const PROBLEMS: &str = "problems";
 /// Smaller errors count as equal in a comparison of two runs: a nanometre \[mm\].
 const METRIC_FLOOR_MM: f64 = 1e-6;
 /// Smaller errors and excess costs are drawn at these values \[mm, %\].
-const ERROR_FLOOR_MM: f64 = 1e-9;
+const ERRORS: Scale = Scale::LogLog { floor: 1e-14 };
 const EXCESS_FLOOR_PERCENT: f64 = 1e-4;
 
 pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
@@ -86,8 +86,7 @@ fn plot(dataset: &mut Dataset, rows: &[Value], problems: &[Value]) -> Result<()>
         let panel = |course: &Course| panel(*course, rows, y, key, scale);
         Course::ALL.iter().filter_map(panel).collect()
     };
-    let floor = ERROR_FLOOR_MM;
-    let errors = of_courses("mean error [mm]", "mean_error_mm", Scale::LogLog { floor });
+    let errors = of_courses("mean error [mm]", "mean_error_mm", ERRORS);
     let clearances = of_courses("least clearance [mm]", "min_clearance_mm", Scale::LogAcross);
     let excess = |field| excess(field, problems);
     let excess: Vec<Panel> = Field::ALL.into_iter().filter_map(excess).collect();
@@ -118,7 +117,7 @@ fn panel(
         curves.push(Curve::level("safe distance", safe_mm, across, DARK));
     }
     let axes = ["budget [µs]", y];
-    (!rows.is_empty()).then(|| Panel::new(course.name(), axes, scale, curves))
+    (!rows.is_empty()).then(|| Panel::new(course.name(), axes, scale, curves).tapered())
 }
 
 fn excess(field: Field, problems: &[Value]) -> Option<Panel> {

@@ -109,6 +109,7 @@ impl Benchmark for RobustnessOptions {
             rows.push(case.row(&runs, ideal));
         }
         panels.retain(|panel| !panel.is_below(DRAWN_MM));
+        let panels: Vec<_> = panels.into_iter().map(Panel::tapered).collect();
         dataset.plot("robustness-error", &panels)?;
         dataset.add("comparison", comparison(&rows));
         dataset.add("parts", parts(&rows));
@@ -264,15 +265,10 @@ fn comparison(rows: &[Value]) -> Vec<Value> {
     let mut robots: Vec<Value> = Vec::new();
     for row in rows.iter().filter(|row| row["interface"] == "position") {
         if row["controller"] == "full" {
-            robots.push(row.clone());
+            let mut robot = row.clone();
             // A control that is not for this robot has no error.
-            if let Some(robot) = robots.last_mut().and_then(Value::as_object_mut) {
-                robot.extend(
-                    CONTROLS
-                        .iter()
-                        .map(|control| (control.name.into(), Value::Null)),
-                );
-            }
+            (CONTROLS.iter()).for_each(|control| robot[control.name] = Value::Null);
+            robots.push(robot);
         }
         if let (Some(robot), Some(controller)) = (robots.last_mut(), row["controller"].as_str()) {
             robot[controller] = row["mean_error_mm"].clone();

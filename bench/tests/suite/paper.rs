@@ -97,8 +97,10 @@ fn each_simulation_is_at_least_as_exact_as_in_the_paper_and_keeps_its_bounds() {
     for (sections, paper_mm) in [(1, 5e-9), (2, 7e-4), (3, 5e-3)] {
         use SolverKind::{GaussNewton, Kpso, KpsoRefined};
         for (solver, bound_mm) in [(Kpso, paper_mm), (GaussNewton, 1e-10), (KpsoRefined, 1e-10)] {
-            let error_mm = whole(Task::Spiral { sections }, solver)("mean_error_mm");
+            let row = whole(Task::Spiral { sections }, solver);
+            let (error_mm, swarm) = (row("mean_error_mm"), row("swarm_ran_share"));
             assert!(error_mm <= bound_mm, "{sections}, {solver:?}: {error_mm}");
+            assert_eq!(swarm > 0.5, solver == Kpso, "{solver:?}: {swarm}");
         }
     }
     for (rate_limit_rad_s, bound_mm) in [(2.0, 2.6e-3), (8.0, 2e-4)] {
