@@ -16,7 +16,7 @@ pub(super) const PROBLEMS: &str = "problems";
 const METRIC_FLOOR_MM: f64 = 1e-6;
 /// Smaller errors and excess costs are drawn at these values \[mm, %\].
 const ERRORS: Scale = Scale::LogLog { floor: 1e-14 };
-const EXCESS_FLOOR_PERCENT: f64 = 1e-4;
+const EXCESS: Scale = Scale::Log { floor: 1e-4 };
 
 pub(super) fn dataset(rounds: u32, found: &Rounds) -> Result<Dataset> {
     let mut dataset = Dataset::new("quality", include_str!("quality.toml"));
@@ -136,7 +136,6 @@ fn excess(field: Field, problems: &[Value]) -> Option<Panel> {
         curves.push(Curve::level("stuck", 100.0 * STUCK_SHARE, 0.0..100.0, DARK));
         let title = format!("Between tip and target: {}", field.name());
         let axes = ["share of the problems [%]", "cost above the best [%]"];
-        let floor = EXCESS_FLOOR_PERCENT;
-        Panel::new(title, axes, Scale::Log { floor }, curves)
+        Panel::new(title, axes, EXCESS, curves)
     })
 }

@@ -267,7 +267,9 @@ fn comparison(rows: &[Value]) -> Vec<Value> {
         if row["controller"] == "full" {
             let mut robot = row.clone();
             // A control that is not for this robot has no error.
-            (CONTROLS.iter()).for_each(|control| robot[control.name] = Value::Null);
+            for control in &CONTROLS {
+                robot[control.name] = Value::Null;
+            }
             robots.push(robot);
         }
         if let (Some(robot), Some(controller)) = (robots.last_mut(), row["controller"].as_str()) {
