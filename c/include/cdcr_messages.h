@@ -1083,7 +1083,9 @@ typedef struct CdcrTelemetry {
      * from every commanded one of the last following_lag_ns, so that a lag of the motors up to that is no error.
      * Zero while only the tip is measured. */
     double following_error_rad[6];
-    /* 14928: used: 3 * command.sections. The same of each cable [m]. */
+    /* 14928: used: 3 * command.sections. The same of each cable [m]. Where positions are obeyed and lengths
+     * measured, with the difference of the section's mean length from the commanded one, which is no error of a
+     * bend. */
     double following_error_m[18];
     /* 15072: A following error above this is a warning [rad]. */
     double following_warning_rad;

@@ -266,7 +266,8 @@ message! {
         /// Following error of each section \[rad\]: how far the measured bend vector is from every commanded one of the last
         /// `following_lag_ns`, so that a lag of the motors up to that is no error. Zero while only the tip is measured.
         following_error_rad: [f64; SECTIONS_MAX] [used 1 command.sections],
-        /// The same of each cable \[m\].
+        /// The same of each cable \[m\]. Where positions are obeyed and lengths measured, with the difference of the section's mean length from the
+        /// commanded one, which is no error of a bend.
         following_error_m: [f64; CABLES_MAX] [used 3 command.sections],
         /// A following error above this is a warning \[rad\].
         following_warning_rad: f64,

@@ -80,7 +80,13 @@ impl Estimator {
         let rested = motions[1].start_from(&added(self.motors(), lost_rad, -1.0));
         let averaged = added(&obeyed, self.beside.as_slice(), 1.0);
         let [obeyed_end, rested_end] = motions.map(|motion| motion.end_from(measured));
+        let mut way_rad = [0.0; COORDINATES_MAX];
+        let ends = rested.as_slice().iter().zip(obeyed.as_slice());
+        for (way_rad, (rested, obeyed)) in way_rad.iter_mut().zip(ends) {
+            *way_rad = rested - obeyed;
+        }
         Evidence {
+            way_rad,
             lost_rad: norm_rad(lost_rad),
             seen_rad: distance_rad(&obeyed, &rested),
             unseen_rad: distance_rad(&obeyed_end, &rested_end),
@@ -102,9 +108,12 @@ impl Estimator {
         let is_silence = cause == RestCause::Silence && !self.is_idle();
         if evidence.is_visible() || is_silence {
             self.uncorrected_s = None;
-        }
-        if evidence.is_visible() || evidence.is_shown() || is_silence {
             self.forget_beside();
+        } else if evidence.is_shown() {
+            // The measurement is filtered: what else it shows stays beside the estimate, such as a push.
+            for beside in self.beside_last.iter_mut().chain([&mut self.beside]) {
+                *beside = added(beside, &evidence.way_rad, -1.0);
+            }
         }
         self.commanded = self.motors.cables_commanded(self.motors());
     }
@@ -120,6 +129,8 @@ impl Estimator {
 /// Comparison of a measurement with the places of motors that obeyed and of motors that rested.
 #[derive(Debug)]
 struct Evidence {
+    /// Way from the place of motors that obeyed to that of motors that rested \[rad\].
+    way_rad: [f64; COORDINATES_MAX],
     /// Motion that was lost in the rest \[rad\].
     lost_rad: f64,
     /// Distance of both places \[rad\].
