@@ -364,7 +364,7 @@ impl Connection {
         DriverPort::open(py, &self.address, interface_of(interface)?, model)
     }
 
-    /// Closes the connection, and gives back everything that it had: its feeds and streams end, and the robot holds. Afterwards everything but stop() raises
+    /// Closes the connection, and gives back everything that it had. Its feeds and streams end by themselves, and the robot then holds. Afterwards everything but stop() raises
     /// LinkError. Closing twice changes nothing.
     fn close(&self, py: Python<'_>) {
         self.worker.close(py);

@@ -254,7 +254,7 @@ const AT_ONCE: u64 = 4;
 const LONGER_EACH: Duration = Duration::from_millis(2);
 /// Time without an event after which a chunk is sent nevertheless, because events of chunks may be lost.
 const SILENCE: Duration = Duration::from_millis(200);
-/// Time limit for the events of the last chunks once the `with` is left, as for those of obstacles. The lease is not renewed meanwhile.
+/// Time limit for the events of the last chunks once the `with` is left, as for those of obstacles.
 const LAST_ANSWERS: Duration = Duration::from_secs(1);
 
 /// State of the thread of a stream.
@@ -293,7 +293,7 @@ impl StreamThread {
         let mut renewed_ns = monotonic_ns();
         let mut followed = Followed::default();
         let _ = begun.send(true);
-        loop {
+        let last = loop {
             match self.orders.recv_timeout(TURN) {
                 Ok(points) => {
                     outbox.waiting.extend(points);
@@ -301,12 +301,18 @@ impl StreamThread {
                 }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
-                    self.finish(connection, &mut telemetry, &mut followed, &mut outbox)?;
-                    break;
+                    let held = (&lease, &mut renewed_ns);
+                    break self.finish(
+                        connection,
+                        held,
+                        &mut telemetry,
+                        &mut followed,
+                        &mut outbox,
+                    );
                 }
             }
             if self.closed.is_set() {
-                break;
+                break Ok(());
             }
             let accepted_ns =
                 self.process_telemetry(connection, &mut telemetry, &mut followed, &mut outbox)?;
@@ -318,15 +324,17 @@ impl StreamThread {
                 followed.asked = true;
             }
             renew(&lease, &mut renewed_ns)?;
-        }
+        };
         drop(lease);
-        wait_until_holding(&self.address, &mut telemetry)
+        let holds = wait_until_holding(&self.address, &mut telemetry);
+        last.and(holds)
     }
 
     /// Sends what waits, and fails for what the daemon refuses of it.
     fn finish(
         &self,
         connection: &Connection,
+        (lease, renewed_ns): (&Lease<'_>, &mut u64),
         telemetry: &mut TelemetryStream,
         followed: &mut Followed,
         outbox: &mut Outbox,
@@ -339,6 +347,7 @@ impl StreamThread {
         while !outbox.is_answered() && !is_over() {
             self.process_telemetry(connection, telemetry, followed, outbox)?;
             self.send(outbox)?;
+            renew(lease, renewed_ns)?;
             thread::sleep(TURN);
         }
         Ok(())
