@@ -246,6 +246,6 @@ fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
         "cannot send to 127.0.0.1:0",
     );
     checked(&daemon, "plot status --count 1 --udp 127.0.0.1:9", 0, "");
-    let whole = "plot status --field last_minute --field robot --count 1 --udp 127.0.0.1:9";
+    let whole = "plot status --field last_minute --field since_reset --field robot --count 1 --udp 127.0.0.1:9";
     checked(&daemon, whole, 1, "select fields with --field");
 }
