@@ -25,6 +25,7 @@ use crate::{CommandStream, ConnectError, LinkError, monotonic_ns};
 
 use measured::Measured;
 
+pub use bounds::cable_tolerances_m;
 pub use commanded::{CommandedPosition, CommandedRates};
 pub use follower::CommandFollower;
 pub use refusal::CommandRefusal;

@@ -103,6 +103,7 @@ pub use connect_error::{ConnectError, Place};
 pub use connection::Connection;
 pub use driver::{
     CommandFollower, CommandRefusal, CommandedPosition, CommandedRates, Driver, DriverUpdate,
+    cable_tolerances_m,
 };
 pub use events::{event_about, events, obstacles};
 pub use feeder::{

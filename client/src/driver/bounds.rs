@@ -64,16 +64,29 @@ fn check_bends(
     Ok(())
 }
 
+/// By how much the lengths of each section's cables (m) may be off, from the radii of the cables (m), base first: as much as a bend of
+/// [`BEND_TOLERANCE_RAD`] in each section up to it.
+pub fn cable_tolerances_m(radii_m: impl Iterator<Item = f64>) -> impl Iterator<Item = f64> {
+    radii_m.scan(0.0, |tolerance_m, radius_m| {
+        *tolerance_m += BEND_TOLERANCE_RAD * radius_m;
+        Some(*tolerance_m)
+    })
+}
+
+fn tolerances_m(robot: &RobotDescription) -> impl Iterator<Item = f64> {
+    cable_tolerances_m(sections(robot).iter().map(|section| section.cable_radius_m))
+}
+
 fn check_strokes(
     robot: &RobotDescription,
     lengths_m: &[f64],
     standing: Option<&CommandedPosition>,
 ) -> Result<(), CommandRefusal> {
     let limit_m = robot.cable_stroke_max_m;
-    let (mut straight_m, mut tolerance_m) = (0.0, 0.0);
-    for (j, section) in sections(robot).iter().enumerate() {
+    let mut straight_m = 0.0;
+    let sections = sections(robot).iter().zip(tolerances_m(robot));
+    for (j, (section, tolerance_m)) in sections.enumerate() {
         straight_m += section.length_m;
-        tolerance_m += BEND_TOLERANCE_RAD * section.cable_radius_m;
         for cable in 3 * j..3 * j + 3 {
             let stroke_m = lengths_m[cable] - straight_m;
             let most = standing.map_or(0.0, |standing| standing.cable_length_m[cable] - straight_m);
@@ -100,9 +113,7 @@ pub(super) fn check_near(
         let elsewhere = CommandRefusal::Elsewhere { at, way, most };
         if is_near { Ok(()) } else { Err(elsewhere) }
     };
-    let mut tolerance_m = 0.0;
-    for (j, section) in sections(robot).iter().enumerate() {
-        tolerance_m += BEND_TOLERANCE_RAD * section.cable_radius_m;
+    for (j, tolerance_m) in tolerances_m(robot).enumerate() {
         if measured.kind == MeasurementKind::Configuration.code() {
             for i in 2 * j..2 * j + 2 {
                 let distance_rad = command.bend_target_rad[i] - measured.bend_rad[i];

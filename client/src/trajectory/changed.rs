@@ -1,8 +1,5 @@
 use super::{FigurePlane, Orientation, Trajectory};
 
-/// A curve whose ends are closer than this is closed \[m\].
-const CLOSED_M: f64 = 1e-3;
-
 /// A trajectory changed in speed, size or plane, or repeated. Its first point is unchanged.
 pub struct Changed {
     inner: Box<dyn Trajectory>,
@@ -26,9 +23,7 @@ impl Changed {
         rounds: u32,
     ) -> Self {
         let one_s = inner.duration_s();
-        let squares =
-            (0..3).map(|i| (inner.position_m(one_s)[i] - inner.position_m(0.0)[i]).powi(2));
-        let is_closed = squares.sum::<f64>().sqrt() < CLOSED_M;
+        let is_closed = inner.is_closed();
         let knots_s = inner.knots_s().map(|knots_s| {
             let mut all_s = vec![0.0];
             for round in 0..rounds {

@@ -55,6 +55,9 @@ impl Orientation {
     }
 }
 
+/// A curve whose ends are closer than this is closed \[m\].
+const CLOSED_M: f64 = 1e-3;
+
 /// A curve in time. Implement it to feed your own curves.
 pub trait Trajectory {
     /// Name for messages.
@@ -76,6 +79,13 @@ pub trait Trajectory {
     /// curve is sampled at equal steps.
     fn knots_s(&self) -> Option<&[f64]> {
         None
+    }
+
+    /// Whether it ends within a millimetre of where it begins.
+    fn is_closed(&self) -> bool {
+        let ends_m = [0.0, self.duration_s()].map(|time_s| self.position_m(time_s));
+        let squares = (0..3).map(|i| (ends_m[1][i] - ends_m[0][i]).powi(2));
+        squares.sum::<f64>().sqrt() < CLOSED_M
     }
 
     /// The reference point at `time_s`, stamped with `time_ns` on the daemon's clock.

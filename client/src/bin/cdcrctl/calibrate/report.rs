@@ -3,12 +3,11 @@
 use std::fmt::{Error, Write};
 use std::path::Path;
 
-use cdcr_client::counted;
+use cdcr_client::{cable_tolerances_m, counted};
 use cdcr_controller::calibration::{
     Calibration, Estimate, Geometry, Parameter, ParameterGroup, TipError,
 };
 use cdcr_controller::robot::{RobotParameters, SectionParameters};
-use cdcr_shared_types::limits::BEND_TOLERANCE_RAD;
 use serde_json::{Value, json};
 
 use super::advice::{self, CORRELATED};
@@ -183,10 +182,12 @@ fn fragment(
     found: &Calibration,
 ) -> Result<String, Error> {
     // A driver of positions follows a first command within the tolerance.
-    let (mut straight_m, mut tolerance_m) = (0.0, 0.0);
+    let sections = &found.geometry.robot.sections;
+    let tolerances_m = cable_tolerances_m(sections.iter().map(|section| section.cable_radius_m));
+    let mut straight_m = 0.0;
     let mut out = String::from("# Replaces all [[robot.sections]] of the configuration:\n");
     let configured = Geometry::configured(robot);
-    for (j, new) in found.geometry.robot.sections.iter().enumerate() {
+    for (j, (new, tolerance_m)) in sections.iter().zip(tolerances_m).enumerate() {
         let SectionParameters {
             bend_max_rad,
             rate_max_rad_s,
@@ -224,7 +225,6 @@ fn fragment(
         }
         straight_m += new.length_m;
         let common_m = median_common_mode_m(recording, j);
-        tolerance_m += BEND_TOLERANCE_RAD * new.cable_radius_m;
         if (common_m - straight_m).abs() > tolerance_m {
             writeln!(
                 out,

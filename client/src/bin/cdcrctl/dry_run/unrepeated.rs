@@ -4,10 +4,7 @@ use std::fmt;
 
 use cdcr_client::Trajectory;
 use cdcr_controller::robot::{Configuration, Robot};
-use nalgebra::Vector3;
 
-/// A path whose end is this near to its beginning is closed \[m\].
-const CLOSED_M: f64 = 1e-3;
 /// Smallest motion of the body that is reported \[m\].
 const MOVED_M: f64 = 0.01;
 
@@ -26,9 +23,7 @@ impl Unrepeated {
         robot: &Robot,
         shapes: [&Configuration; 2],
     ) -> Option<Self> {
-        let ends_m =
-            [0.0, trajectory.duration_s()].map(|s| Vector3::from(trajectory.position_m(s)));
-        if (ends_m[0] - ends_m[1]).norm() > CLOSED_M {
+        if !trajectory.is_closed() {
             return None;
         }
         let frames = shapes.map(|shape| robot.section_frames(shape));

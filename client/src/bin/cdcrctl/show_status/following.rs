@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
+use cdcr_client::cable_tolerances_m;
 use cdcr_shared_types::Status;
 use cdcr_shared_types::codes::Interface;
-use cdcr_shared_types::limits::BEND_TOLERANCE_RAD;
 
 /// The largest following error of a section (rad).
 pub(crate) fn following_error_rad(status: &Status) -> f64 {
@@ -16,10 +16,14 @@ pub(crate) fn following_error_rad(status: &Status) -> f64 {
 /// The first section whose cables differ from the commanded lengths by more in the mean than a driver follows at first, and by how much (m).
 fn common_error(status: &Status) -> Option<(usize, f64)> {
     let (cables_m, _) = status.following_error_m.as_chunks::<3>();
-    let sections = status.robot.section.iter().zip(cables_m);
-    let mut tolerance_m = 0.0;
-    for (j, (section, cables_m)) in sections.enumerate().take(status.robot.sections as usize) {
-        tolerance_m += BEND_TOLERANCE_RAD * section.cable_radius_m;
+    let radii_m = status
+        .robot
+        .section
+        .iter()
+        .map(|section| section.cable_radius_m);
+    let sections = cables_m.iter().zip(cable_tolerances_m(radii_m));
+    let used = sections.take(status.robot.sections as usize);
+    for (j, (cables_m, tolerance_m)) in used.enumerate() {
         let mean_m = cables_m.iter().sum::<f64>() / 3.0;
         if mean_m.abs() > tolerance_m {
             return Some((j + 1, mean_m));
