@@ -175,13 +175,18 @@ impl<W: Write> Writer<W> {
     pub fn flush(&mut self) -> io::Result<()> {
         let flushed = self.inner.flush();
         self.checked(flushed)?;
-        self.whole_bytes = self.counted.bytes.load(Ordering::Relaxed);
+        self.whole_bytes = self.written_bytes();
         Ok(())
     }
 
     /// Number of complete bytes after the last flush; the bytes after them may be truncated.
     pub fn whole_bytes(&self) -> u64 {
         self.whole_bytes
+    }
+
+    /// Number of bytes written so far. What the next [`flush`](Self::flush) adds, and the index, is not in it.
+    pub fn written_bytes(&self) -> u64 {
+        self.counted.bytes.load(Ordering::Relaxed)
     }
 
     /// Completes the recording with its index, and returns the output.

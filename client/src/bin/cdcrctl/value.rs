@@ -139,6 +139,19 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
     humantime::parse_duration(text).map_err(|cause| format!("{cause} (for example 5s or 250ms)"))
 }
 
+/// The size of a file, from 1 MB to 1000 TB: `500MB`, `1.5GB` \[bytes\].
+pub(crate) fn size_bytes(text: &str) -> Result<u64, String> {
+    let units = [("MB", 1e6), ("GB", 1e9), ("TB", 1e12)];
+    let text = text.trim();
+    let split = |(unit, bytes)| Some((text.strip_suffix(unit)?, bytes));
+    let (digits, unit_bytes) = (units.into_iter().find_map(split))
+        .ok_or("a unit is missing: use for example 500MB or 20GB")?;
+    let bytes = unit_bytes * positive(digits)?;
+    let is_within = (1e6..=1e15).contains(&bytes);
+    let refused = || "must be 1 MB to 1000 TB".to_owned();
+    is_within.then_some(bytes as u64).ok_or_else(refused)
+}
+
 /// `a:b`: two whole numbers from 1 to 100.
 pub(crate) fn ratio(text: &str) -> Result<Ratio, String> {
     let part = |part: &str| part.trim().parse().ok().filter(|n| (1..=100).contains(n));
@@ -200,6 +213,15 @@ mod tests {
         assert_eq!(length_m("0.25 m"), Ok(0.25));
         for wrong in ["2", "2cm", "0mm", "-1m", "mm", "nanm"] {
             assert!(length_m(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn sizes_have_units_and_a_range() {
+        assert_eq!(size_bytes("1MB"), Ok(1_000_000));
+        assert_eq!(size_bytes(" 1.5 GB"), Ok(1_500_000_000));
+        for wrong in ["1", "5G", "0.9MB", "1001TB", "0GB", "-1GB", "nanGB", "GB"] {
+            assert!(size_bytes(wrong).is_err(), "{wrong}");
         }
     }
 

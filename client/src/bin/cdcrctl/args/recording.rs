@@ -16,6 +16,9 @@ pub(crate) struct RecordingOptions {
     /// Stop after this time
     #[arg(long, value_name = "TIME", value_parser = value::duration_in(value::WAIT_S))]
     pub(crate) duration: Option<Duration>,
+    /// Stop before the file is larger than this: 1MB to 1000TB, for example 20GB
+    #[arg(long, value_name = "SIZE", value_parser = value::size_bytes, conflicts_with = "around")]
+    pub(crate) max_size: Option<u64>,
     /// Record only around the first trigger: incident, fault, mode, error>5mm, clearance<5mm or
     /// response>800us. The time before it is buffered in memory, 64 MB at most
     #[arg(long, value_name = "TRIGGER", value_parser = Trigger::parse)]

@@ -41,6 +41,7 @@ pub(crate) fn run(target: &Target, options: &RecordingOptions) -> anyhow::Result
     let task = RecordTask {
         output: options.output.as_deref(),
         duration: options.duration,
+        max_bytes: options.max_size,
         around,
         watch: &mut (),
     };
@@ -52,6 +53,8 @@ pub(super) struct RecordTask<'a> {
     /// Output file; by default named for robot and time.
     pub(super) output: Option<&'a Path>,
     pub(super) duration: Option<Duration>,
+    /// Maximum size of the file.
+    pub(super) max_bytes: Option<u64>,
     /// Restricts the recording to the time around a trigger.
     pub(super) around: Option<Around>,
     pub(super) watch: &'a mut dyn RecordWatch,
@@ -140,7 +143,7 @@ fn recorded(target: &Target, mut task: RecordTask<'_>) -> anyhow::Result<Done> {
         return match ended {
             Ended::Interrupted => Ok(Done::Interrupted),
             Ended::Daemon => bail!("the daemon ended, nothing was recorded"),
-            Ended::Asked | Ended::Failed(_) => {
+            Ended::Asked | Ended::Size | Ended::Failed(_) => {
                 bail!("the trigger did not fire, nothing was recorded")
             }
         };
@@ -200,6 +203,8 @@ struct OutputError(#[source] io::Error);
 enum Ended {
     /// Its duration was reached.
     Asked,
+    /// Its file has the maximum size.
+    Size,
     /// A signal arrived, or the observer ended it.
     Interrupted,
     /// The daemon ended, or another one replaced it.
@@ -236,6 +241,7 @@ fn print_summary(
     let counts = Topic::ALL.map(|topic| counted(counts[topic as usize], topic.noun()));
     let why = match ended {
         Ended::Daemon => "; the daemon ended",
+        Ended::Size => "; the file has its maximum size",
         _ => "",
     };
     writeln!(out, "{}: {}{why}", path.display(), counts.join(", "))?;
@@ -331,6 +337,9 @@ impl Recorder {
             }
             if is_other {
                 return Ok(Ended::Daemon);
+            }
+            if task.max_bytes.is_some_and(|max| self.sink.is_at(max)) {
+                return Ok(Ended::Size);
             }
             if self.is_over(reading.until_ns) {
                 return Ok(Ended::Asked);

@@ -39,6 +39,7 @@ pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Don
     let task = RecordTask {
         output: options.output.as_deref(),
         duration: options.duration,
+        max_bytes: None,
         around: Some(around),
         watch: &mut scope,
     };

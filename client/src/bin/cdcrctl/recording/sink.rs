@@ -19,6 +19,11 @@ pub(super) const CHANNELS: usize = Topic::ALL.len() + Drawn::ALL.len();
 /// Maximum memory of the kept messages, whatever their time span.
 const RING_BYTES: usize = 64 << 20;
 
+/// Maximum size of a chunk that is not written yet, of the findings of the doctor and of the end without the index.
+const END_BYTES: u64 = 512_000;
+/// Maximum size of the index, as a part of the data before it: one of this many.
+const INDEX_PART: u64 = 50;
+
 /// Metadata at the start of a file.
 pub(super) struct Head {
     channels: Vec<Channel>,
@@ -198,6 +203,12 @@ impl Sink {
             self.whole = self.counts;
         }
         Ok(())
+    }
+
+    /// Whether the file, with its end, would be larger than this after the next messages.
+    pub(super) fn is_at(&self, max_bytes: u64) -> bool {
+        let written_bytes = (self.file.as_ref()).map_or(0, |(writer, _)| writer.written_bytes());
+        written_bytes + written_bytes / INDEX_PART + END_BYTES > max_bytes
     }
 
     /// Removes a file without a message.

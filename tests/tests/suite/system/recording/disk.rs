@@ -81,6 +81,17 @@ fn a_file_at_its_limit_ends_the_recording_like_a_full_disk() {
 }
 
 #[test]
+fn a_recording_ends_before_its_file_is_larger_than_asked() {
+    let daemon = Daemon::start(STALL_TOLERANT);
+    let place = daemon.place();
+    let expected = ["run.mcap", "the file has its maximum size"];
+    place.checked("cdcrctl record -o run.mcap --max-size 2MB", 0, &expected);
+    let bytes = fs::metadata(place.folder().join("run.mcap")).unwrap().len();
+    assert!((1_000_000..=2_000_000).contains(&bytes), "{bytes}");
+    assert_eq!(place.json("info run.mcap")["cut"], false);
+}
+
+#[test]
 fn a_recording_whose_file_was_removed_is_an_error() {
     let mut run = Recorded::start(STALL_TOLERANT);
     fs::remove_file(&run.file).unwrap();
