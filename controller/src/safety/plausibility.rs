@@ -21,8 +21,11 @@ pub enum Plausibility {
     Jump,
     /// Last of a series of jumps: to be ignored, and a fault.
     Lost,
-    /// Did not change although it should have: a fault.
-    Frozen,
+    /// A channel did not change although it should have: a fault.
+    Frozen {
+        /// Its number in the measurement: of a bend component or of a cable; 0 for a tip.
+        channel: usize,
+    },
 }
 
 /// Compares each measurement with earlier ones of its kind.
@@ -105,10 +108,10 @@ impl MeasurementWatch {
             return Plausibility::Lost;
         }
         self.jumps = 0;
-        if self.is_frozen(robot, measurement) {
-            return Plausibility::Frozen;
+        match self.frozen_channel(robot, measurement) {
+            Some(channel) => Plausibility::Frozen { channel },
+            None => Plausibility::Good,
         }
-        Plausibility::Good
     }
 
     /// Updates the track with the measurement. Returns false for a jump.
@@ -133,29 +136,34 @@ impl MeasurementWatch {
         }
     }
 
-    /// Whether a channel did not change although it should have. Stores the measurement.
-    fn is_frozen(&mut self, robot: &Robot, measurement: &Measurement) -> bool {
+    /// The channel that should have changed the most, and did not. Stores the measurement.
+    fn frozen_channel(&mut self, robot: &Robot, measurement: &Measurement) -> Option<usize> {
         let motions_rad = channel_motions_rad(robot, measurement, &self.commanded_rad);
         let mut still = Still {
             measurement: *measurement,
             changed_at_rad: motions_rad,
         };
-        let mut is_frozen = false;
+        let (mut frozen, mut farthest_rad) = (None, self.rules.frozen_rad);
         if let Some(before) = &self.still {
             for (channel, motion_rad) in motions_rad.iter().enumerate() {
                 if is_same(&before.measurement, measurement, channel) {
                     still.changed_at_rad[channel] = before.changed_at_rad[channel];
-                    let moved_rad = motion_rad - before.changed_at_rad[channel];
-                    is_frozen |= moved_rad.abs() > self.rules.frozen_rad;
+                    let moved_rad = (motion_rad - before.changed_at_rad[channel]).abs();
+                    if moved_rad > farthest_rad {
+                        (frozen, farthest_rad) = (Some(channel), moved_rad);
+                    }
                 }
             }
         }
-        if is_frozen {
+        if frozen.is_some() {
             // Reported once: a robot at rest does not change, and could never prove that its sensor works.
             still.changed_at_rad = motions_rad;
         }
         self.still = Some(still);
-        is_frozen
+        match measurement {
+            Measurement::TipPosition(_) => frozen.map(|_| 0),
+            _ => frozen,
+        }
     }
 }
 

@@ -251,9 +251,8 @@ impl Cycle {
         self.rest_if_run_out_by(solve_start_ns, &release, elapsed_ns);
         let previous_rates = self.rates;
         self.longest_gap_ns = solve_start_ns - release.start_ns;
-        let costs = self.costs(inputs);
         self.solve_until_ns = 0;
-        let way = self.way_to_begin(inputs);
+        let (costs, way) = (self.costs(inputs), self.way_to_begin(inputs));
         let (mut desired_rates, report) =
             self.desired_rates(&release, inputs, way.as_ref(), elapsed_ns, costs, clock);
         let comes_to_rest = self.modes.mode().comes_to_rest() && way.is_none();
@@ -299,6 +298,7 @@ impl Cycle {
             policy: self.policy,
             measurement,
             measurement_use,
+            frozen_channel: self.state.frozen_channel,
             tip_measurement,
             tip_use,
             tip_unused: self.state.tip_watch.unused(),

@@ -59,6 +59,8 @@ pub(super) struct RobotState {
     is_measurement_rejected: bool,
     /// Fault found in the measurement of this cycle.
     measurement_fault: Option<Reason>,
+    /// The channel of the newest measurement that is frozen.
+    pub(super) frozen_channel: Option<usize>,
 }
 
 impl RobotState {
@@ -99,6 +101,7 @@ impl RobotState {
             straight_ns: 0,
             is_measurement_rejected: false,
             measurement_fault: None,
+            frozen_channel: None,
         }
     }
 
@@ -182,6 +185,7 @@ impl RobotState {
         release_ns: u64,
     ) -> MeasurementUse {
         self.measurement_fault = None;
+        self.frozen_channel = None;
         let Some(timed) = measurement else {
             return MeasurementUse::None;
         };
@@ -201,7 +205,10 @@ impl RobotState {
                 self.measurement_fault = Some(Reason::MeasurementJump);
                 return MeasurementUse::Implausible;
             }
-            Plausibility::Frozen => self.measurement_fault = Some(Reason::MeasurementFrozen),
+            Plausibility::Frozen { channel } => {
+                self.measurement_fault = Some(Reason::MeasurementFrozen);
+                self.frozen_channel = Some(channel);
+            }
             Plausibility::Good => {}
         }
         if let Measurement::CableLengths(lengths_m) = &measurement

@@ -112,7 +112,7 @@ impl RobotState {
             .check(&self.robot, measurement, *measured_ns);
         let found_wrong = match found {
             Plausibility::Lost => Some(TipCause::Jumped),
-            Plausibility::Frozen => Some(TipCause::Frozen),
+            Plausibility::Frozen { .. } => Some(TipCause::Frozen),
             Plausibility::Jump | Plausibility::Good => None,
         };
         watch.wrong = found_wrong.or(watch.wrong);

@@ -18,6 +18,8 @@ pub enum FaultPlace {
         measured_rad: f64,
         commanded_rad: f64,
     },
+    /// The bend component or the cable, from 0 within its section, that did not change.
+    Frozen { section: usize, part: FrozenPart },
     /// Distance of the measured tip from where the commands lead \[m\].
     Tip { distance_m: f64 },
     /// The clearance of a body that counts as thicker by the tip margin \[m\].
@@ -35,6 +37,7 @@ impl FaultPlace {
                 let bends = measured.and_then(|measured| measured.configuration(robot));
                 FarthestBend::find(robot, bends, &record.configuration).map(Self::Bend)
             }
+            Reason::MeasurementFrozen => Self::frozen(measured?, record.frozen_channel?),
             Reason::MeasurementJump => Self::of_jump(robot, measured?, record),
             Reason::FollowingError => {
                 let errors_rad = record.following.bend_rad.iter().enumerate();
@@ -53,6 +56,15 @@ impl FaultPlace {
         }
     }
 
+    fn frozen(measured: &Measurement, channel: usize) -> Option<Self> {
+        let (section, part) = match measured {
+            Measurement::Configuration(_) => (channel / 2, FrozenPart::Bend(axis(channel))),
+            Measurement::CableLengths(_) => (channel / 3, FrozenPart::Cable(channel % 3)),
+            Measurement::TipPosition(_) => return None,
+        };
+        Some(Self::Frozen { section, part })
+    }
+
     fn of_jump(robot: &Robot, measured: &Measurement, record: &CycleRecord) -> Option<Self> {
         if let Measurement::TipPosition(tip_m) = measured {
             let distance_m = (tip_m - record.tip.position_m).norm();
@@ -66,10 +78,9 @@ impl FaultPlace {
         let components = pairs
             .enumerate()
             .map(|(k, (&measured_rad, &commanded_rad))| {
-                let axis = if k % 2 == 0 { 'x' } else { 'y' };
                 let place = Self::Component {
                     section: k / 2,
-                    axis,
+                    axis: axis(k),
                     measured_rad,
                     commanded_rad,
                 };
@@ -77,6 +88,22 @@ impl FaultPlace {
             });
         let farthest = components.max_by(|one, other| one.0.total_cmp(&other.0));
         farthest.map(|(_, place)| place)
+    }
+}
+
+/// What of a section is frozen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FrozenPart {
+    Bend(char),
+    Cable(usize),
+}
+
+/// Axis of this component of the bends.
+fn axis(component: usize) -> char {
+    if component.is_multiple_of(2) {
+        'x'
+    } else {
+        'y'
     }
 }
 
@@ -95,6 +122,17 @@ impl fmt::Display for FaultPlace {
                 "bend component {axis} of section {} is measured as {measured_rad:.4} rad, the commands lead to {commanded_rad:.4} rad",
                 section + 1
             ),
+            Self::Frozen { section, part } => {
+                match part {
+                    FrozenPart::Bend(axis) => write!(f, "bend component {axis}")?,
+                    FrozenPart::Cable(cable) => write!(f, "cable {}", cable + 1)?,
+                }
+                write!(
+                    f,
+                    " of section {} is measured with the same bits while it should move",
+                    section + 1
+                )
+            }
             Self::Tip { distance_m } => {
                 write!(
                     f,

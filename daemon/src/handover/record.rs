@@ -124,6 +124,8 @@ pub struct CycleFacts {
     /// Newest measurement.
     pub measurement: Option<TimedMeasurement>,
     pub measurement_use: MeasurementUse,
+    /// Its channel that did not change although it should have.
+    pub frozen_channel: Option<usize>,
     /// Newest measurement of the tip in addition to bends or cables.
     pub tip_measurement: Option<TimedMeasurement>,
     pub tip_use: MeasurementUse,

@@ -255,15 +255,18 @@ fn corrections_that_cancel_out_freeze_nothing() {
 fn frozen_after_ms(
     robot: &Robot,
     mut measure: impl FnMut(Configuration) -> Measurement,
-) -> Option<u64> {
+) -> Option<(u64, usize)> {
     let mut watch = MeasurementWatch::new(RULES);
     let rates = BendRates::from_slice(&[1.0, -1.0, 1.0, 1.0]).unwrap();
     let mut bends = bends(0.2);
     watch.check(robot, &measure(bends), 0);
-    (1..=100).find(|ms| {
+    (1..=100).find_map(|ms| {
         watch.commanded(&rates, 1e-3);
         bends = bends.advanced(&rates, 1e-3);
-        watch.check(robot, &measure(bends), ms * MS) == Plausibility::Frozen
+        match watch.check(robot, &measure(bends), ms * MS) {
+            Plausibility::Frozen { channel } => Some((ms, channel)),
+            _ => None,
+        }
     })
 }
 
@@ -276,7 +279,8 @@ fn a_single_component_that_stands_still_is_noticed_and_none_is_where_all_move() 
             bends.as_mut_slice()[k] = first.as_slice()[k];
             Measurement::Configuration(bends)
         });
-        assert!(matches!(noticed, Some(50..=51)), "{k}: {noticed:?}");
+        let is_named = matches!(noticed, Some((50..=51, channel)) if channel == k);
+        assert!(is_named, "{k}: {noticed:?}");
     }
     let all_move = frozen_after_ms(&robot, Measurement::Configuration);
     assert_eq!(all_move, None);
@@ -296,7 +300,8 @@ fn a_single_cable_that_stands_still_is_noticed_once_its_length_should_have_chang
             Measurement::CableLengths(lengths)
         });
         let allowed_m = 0.05 * robot.sections()[cable / 3].cable_radius_m;
-        assert_eq!(noticed.is_some(), moved_m > allowed_m, "{cable}");
+        let named = noticed.map(|(_, channel)| channel);
+        assert_eq!(named, (moved_m > allowed_m).then_some(cable));
         assert!(checked_m <= allowed_m + 1e-12, "{cable}");
     }
     let all_move = frozen_after_ms(&robot, |bends| {
@@ -311,7 +316,7 @@ fn a_tip_that_stands_still_is_noticed_as_a_whole() {
     let at = |bends: Configuration| robot.tip_position(&bends);
     let first = at(bends(0.2));
     let noticed = frozen_after_ms(&robot, |_| Measurement::TipPosition(first));
-    assert!(matches!(noticed, Some(50..=51)), "{noticed:?}");
+    assert!(matches!(noticed, Some((50..=51, 0))), "{noticed:?}");
     // One coordinate that does not change may be right.
     let noticed = frozen_after_ms(&robot, |bends| {
         let now = at(bends);
@@ -342,7 +347,7 @@ fn a_value_that_stands_still_is_frozen_only_while_the_robot_should_move() {
     watch.commanded(&moving, 2e-3);
     assert_eq!(
         watch.check(&robot, &measured(0.2), 1050 * MS),
-        Plausibility::Frozen
+        Plausibility::Frozen { channel: 1 }
     );
     // Reported once, and again when it should have moved as far again.
     assert_eq!(
@@ -352,7 +357,7 @@ fn a_value_that_stands_still_is_frozen_only_while_the_robot_should_move() {
     watch.commanded(&moving, 0.051);
     assert_eq!(
         watch.check(&robot, &measured(0.2), 1052 * MS),
-        Plausibility::Frozen
+        Plausibility::Frozen { channel: 1 }
     );
     // The smallest change shows that the sensor of this component lives, and of no other.
     let changed = |k: usize| {
@@ -373,5 +378,8 @@ fn a_value_that_stands_still_is_frozen_only_while_the_robot_should_move() {
     let mut other = MeasurementWatch::new(RULES);
     other.check(&robot, &measured(0.2), 0);
     other.commanded(&moving, 0.051);
-    assert_eq!(other.check(&robot, &changed(2), MS), Plausibility::Frozen);
+    assert_eq!(
+        other.check(&robot, &changed(2), MS),
+        Plausibility::Frozen { channel: 1 }
+    );
 }

@@ -221,6 +221,8 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
         );
         // The previous measurement was within the tolerance, and this one is not.
         assert!(checked_rad <= limit_rad * 1.000_001 && way_rad >= limit_rad * 0.999_999);
+        let place = "frozen: bend component x of section 1 is measured with the same bits";
+        wait_until("the log names it", || daemon.log().contains(place));
         assert_ramps_to_rest(&mut trail, &now, || {
             robot.measure(measured);
         });
