@@ -9,6 +9,7 @@
 
 mod held_back;
 mod joining;
+mod self_contact;
 mod sent;
 mod slowed;
 mod too_fast;
@@ -33,6 +34,7 @@ use crate::bend_limit::{BendShare, WAY_OUT};
 use crate::interrupt::Interrupt;
 use held_back::HeldBack;
 use joining::joining;
+use self_contact::SelfContact;
 use sent::{PositionsOf, check_duration, points};
 use slowed::Slowed;
 pub(crate) use too_fast::check_speed;
@@ -78,6 +80,8 @@ pub(crate) struct Demands {
     safe_distance_m: f64,
     has_orientation: bool,
     unrepeated: Option<Unrepeated>,
+    /// At the start.
+    self_contact: Option<SelfContact>,
     /// The reference does not begin where the tip is, and nothing brings the tip there before: `--track` would join it.
     pub(crate) may_join: bool,
 }
@@ -96,6 +100,7 @@ struct Motion {
     /// In the newest period.
     slowed: Option<Slowed>,
     clearance_m: f64,
+    self_contact: Option<SelfContact>,
 }
 
 /// The record of this cycle; a status may be 0.1 s old.
@@ -165,6 +170,7 @@ pub(crate) fn simulate(
         .with_stopping(valid_periods, record.deceleration_rad_s2)
         .with_tip_offset(record.tip_margin_m);
     let mut demands = Demands::new(&robot, &settings, way.error_m());
+    demands.self_contact = SelfContact::find(&robot, &here, 0.0);
     demands.has_orientation = matches!(
         trajectory.orientation(0.0),
         Orientation::Axis(_) | Orientation::Full(_)
@@ -222,6 +228,7 @@ impl Motion {
         held_back: None,
         slowed: None,
         clearance_m: f64::INFINITY,
+        self_contact: None,
     };
 
     /// Simulates one period and updates the maxima.
@@ -256,6 +263,8 @@ impl Motion {
         self.held_back = HeldBack::newest(closed, largest_m);
         self.slowed = Slowed::newest(closed, &before, period_s);
         self.clearance_m = self.clearance_m.min(closed.clearance_m());
+        let contact = SelfContact::find(closed.robot(), closed.configuration(), closed.time_s());
+        self.self_contact = SelfContact::deeper(self.self_contact, contact);
     }
 
     fn rate(&self) -> String {
@@ -281,6 +290,7 @@ impl Demands {
             safe_distance_m: settings.safe_distance_m,
             has_orientation: false,
             unrepeated: None,
+            self_contact: None,
             may_join: false,
         }
     }
@@ -327,6 +337,17 @@ impl Demands {
             )
         };
         (self.error_max_m > allowed_m).then(|| (cause(), remedy))
+    }
+
+    /// Fails when the body would touch itself along the reference, deeper than now.
+    pub(crate) fn check_self_contact(&self) -> anyhow::Result<()> {
+        match (self.along.self_contact).filter(|contact| contact.is_deeper_than(self.self_contact))
+        {
+            Some(contact) => bail!(
+                "{contact}: use another point or path, or begin in another shape (cdcrctl home); nothing moved"
+            ),
+            None => Ok(()),
+        }
     }
 
     /// Fails when there is a [`miss`](Self::miss).

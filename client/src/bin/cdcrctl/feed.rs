@@ -67,6 +67,7 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
         let positions = || dry_run::compute_positions(&connection, &*trajectory, &feed);
         demands.check_orientation(allowed_m, positions)?;
         demands.check(allowed_m)?;
+        demands.check_self_contact()?;
         if !arguments.blend {
             note_distance(&newest(&connection)?, &*trajectory);
         }
@@ -91,7 +92,7 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
     }
     let (done, mut error) = follow(&connection, &*trajectory, feed, |_| Ok(()))?;
     if done == Done::Good {
-        error.unheard = unmeasured_tip::never(&connection);
+        error.unheard = unmeasured_tip::never(&connection.status(STATUS_TIMEOUT)?);
         error.print(arguments.max_error)?;
     }
     Ok(done)
@@ -159,6 +160,7 @@ pub(crate) fn go(
         let note = obstacle_in_way::note(connection, &way, &options, arguments.max_error)?;
         bail!("{missed}{note}");
     }
+    demands.check_self_contact()?;
     if arguments.dry_run {
         return Ok(Done::Good);
     }
@@ -167,7 +169,9 @@ pub(crate) fn go(
     if done == Done::Good {
         let end = newest(connection)?;
         error.take(&end);
-        let cause = unmeasured_tip::cause(&connection.status(STATUS_TIMEOUT)?, &end);
+        let status = connection.status(STATUS_TIMEOUT)?;
+        let cause = unmeasured_tip::cause(&status, &end);
+        let cause = cause.or_else(|| unmeasured_tip::never(&status));
         way_end::print(&end, cause, &error, goal_m, arguments.max_error)?;
     }
     Ok(done)

@@ -50,12 +50,12 @@ pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<
             let Some(unknown) = unknown_text(ids, &before) else {
                 return Ok(Done::Good);
             };
-            if silent == 0 || !is_wait_over(&connection)? {
+            if silent == 0 || !is_wait_over(&connection, silent)? {
                 bail!("{unknown}; the known ones: cdcrctl obstacle list");
             }
             writeln!(
                 std::io::stdout(),
-                "{unknown}, but the daemon waits no longer for a silent source of obstacles"
+                "{unknown}, but the daemon waits no longer for the silent source that sent it"
             )?;
             Ok(Done::Good)
         }
@@ -135,12 +135,12 @@ fn unknown_text(ids: &[u32], before: &[Obstacle]) -> Option<String> {
     (!unknown.is_empty()).then_some(text)
 }
 
-/// Whether the daemon waits for no silent source any more: a remove of the newest obstacle that one sent ends that, also when that
-/// has expired.
-fn is_wait_over(connection: &Connection) -> anyhow::Result<bool> {
+/// Whether the daemon waits no longer for a silent source: a remove of the newest obstacle that it sent ends that, also when that
+/// has expired. It may then wait for another one.
+fn is_wait_over(connection: &Connection, silent: u64) -> anyhow::Result<bool> {
     let until = Instant::now() + TIMEOUT;
     while Instant::now() < until {
-        if connection.status(TIMEOUT)?.silent_obstacle_source == 0 {
+        if connection.status(TIMEOUT)?.silent_obstacle_source != silent {
             return Ok(true);
         }
         sleep(Duration::from_millis(10));

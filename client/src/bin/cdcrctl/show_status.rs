@@ -212,7 +212,11 @@ pub(crate) fn tip_distance(status: &Status) -> String {
 /// Tip position, error to the reference, and following error.
 fn place(out: &mut String, status: &Status) -> std::fmt::Result {
     let [x, y, z] = status.tip_position_m.map(|m| 1e3 * m);
-    write!(out, "tip         {x:.1}, {y:.1}, {z:.1} mm")?;
+    if status.mode == Mode::Starting.code() {
+        write!(out, "tip         not known yet: control has not begun")?;
+    } else {
+        write!(out, "tip         {x:.1}, {y:.1}, {z:.1} mm")?;
+    }
     if status.position_error_m.is_finite() {
         let [x, y, z] = status.reference_position_m.map(|m| 1e3 * m);
         let error = 1e3 * status.position_error_m;

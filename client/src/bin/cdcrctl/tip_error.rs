@@ -45,7 +45,7 @@ pub(crate) struct TipError {
     silence: Silence,
     /// Why the final error is by the model, if it is.
     final_by_model: Option<String>,
-    /// Why no measurement of a configured tip sensor was ever accepted, if so: all errors are by the model.
+    /// Why no tip was ever measured, if so: all errors are by the model.
     pub(crate) unheard: Option<String>,
 }
 
@@ -179,7 +179,9 @@ impl TipError {
             return self.check_followed();
         };
         self.check(limit_m)?;
-        if let Some(decided) = self.decided_by_model() {
+        // Where no tip was measured at all, the line above says so.
+        let decided = self.decided_by_model().filter(|_| self.unheard.is_none());
+        if let Some(decided) = decided {
             writeln!(std::io::stdout(), "--max-error was {decided}")?;
         }
         Ok(())
@@ -351,7 +353,7 @@ impl TipError {
     /// For how much of the time the error of the model decided about a limit; `None`: a measured tip was always in use, or there is none.
     fn decided_by_model(&self) -> Option<String> {
         if self.unheard.is_some() {
-            let decided = "decided by the model, because no tip measurement was accepted";
+            let decided = "decided by the model, because no measured tip was in use";
             return Some(decided.to_owned());
         }
         let percent = self.unused_percent()?;

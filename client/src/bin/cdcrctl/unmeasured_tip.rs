@@ -126,12 +126,14 @@ pub(crate) fn warn_now(connection: &Connection) {
     }
 }
 
-/// What to say at the end of a motion, where a tip sensor is configured of which nothing was ever accepted.
-pub(crate) fn never(connection: &Connection) -> Option<String> {
-    let status = connection.status(STATUS_TIMEOUT).ok()?;
-    let unheard = Unheard::from_status(&status).filter(|unheard| *unheard == Unheard::Never)?;
-    let refused = refused_text(&status).unwrap_or_default();
-    Some(format!("{unheard}; {refused}"))
+/// Why no tip was ever measured, to be said at the end of a motion; `None`: one was.
+pub(crate) fn never(status: &Status) -> Option<String> {
+    if Unheard::from_status(status) == Some(Unheard::Never) {
+        let refused = refused_text(status).unwrap_or_default();
+        return Some(format!("{}; {refused}", Unheard::Never));
+    }
+    let is_measured = status.tip_measured_ns > 0 || status.driver_measures_tip_only != 0;
+    (!is_measured).then(|| "no sensor measures the tip".to_owned())
 }
 
 /// Whether the tip becomes that of the model during a motion.

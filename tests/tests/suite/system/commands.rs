@@ -113,7 +113,10 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
         &daemon,
         "ref line --duration 200ms --lead 1s --track --max-error 0.9m",
     );
-    let error = printed.lines().last().unwrap_or_default();
+    let lines: Vec<_> = printed.lines().collect();
+    let [.., error, note] = lines[..] else {
+        panic!("{printed}");
+    };
     let numbers: Vec<f64> = error
         .split([' ', ','])
         .filter_map(|word| word.parse().ok())
@@ -121,7 +124,12 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
     let [mean, max, last, cycles, limited_percent] = numbers[..] else {
         panic!("{printed}");
     };
-    assert!(error.starts_with("tip error: mean"), "{printed}");
+    assert!(
+        error.starts_with("tip error by the model: mean"),
+        "{printed}"
+    );
+    let why = "all errors are by the model: no sensor measures the tip";
+    assert_eq!(note, why);
     assert!(
         mean <= max && last <= max && max > 100.0 && cycles > 0.0,
         "{printed}"
@@ -132,7 +140,10 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
     let output = daemon.place().start(line).output();
     assert_output(&output, 1, &["more than --max-error, 100.000 mm"]);
     let printed = text(&output);
-    assert!(printed.contains("tip error: mean"), "{printed}");
+    assert!(
+        printed.contains("tip error by the model: mean"),
+        "{printed}"
+    );
     // A script learns of it without an option, too.
     let printed = refused(
         &daemon,

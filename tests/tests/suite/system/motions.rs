@@ -186,7 +186,10 @@ fn a_curve_begins_without_a_jump_where_the_tip_is_brought_to_its_first_point() {
     until_undisturbed("the tip moves slowly", || {
         checked(&daemon, "goto 0.02,0,0.89 --speed 0.5 --acceleration 5", 0);
         let (reported, blends_m_s) = output_and_speed(&daemon, &format!("{curve} --blend"));
-        assert!(reported.contains("mm from the point"), "{reported}");
+        assert!(
+            reported.contains("mm from the point by the model; no sensor measures the tip"),
+            "{reported}"
+        );
         assert!(reported.contains("tracked to its end"), "{reported}");
         println!("{jumps_m_s} m/s, {blends_m_s} m/s");
         (blends_m_s < 0.5 * jumps_m_s).then_some(())
@@ -449,4 +452,18 @@ fn a_speed_above_the_limit_of_the_tip_is_refused_with_the_limit_and_home_keeps_i
         assert!(fastest_m_s <= 0.1 * (1.0 + 1e-9));
         (fastest_m_s > 0.099).then_some(())
     });
+}
+
+/// The point is the base of the robot: its tip would end inside its first section.
+#[test]
+fn a_path_on_which_the_body_would_touch_itself_is_refused() {
+    let daemon = Daemon::ideal(STALL_TOLERANT);
+    for line in [
+        "goto 0,0,0.02",
+        "ref line --start 0.3,0,0.3 --velocity -0.06,0,-0.056 --duration 5s --dry-run",
+    ] {
+        let printed = checked(&daemon, line, 1);
+        assert!(printed.contains("would touch"), "{printed}");
+        assert!(printed.contains("nothing moved"), "{printed}");
+    }
 }

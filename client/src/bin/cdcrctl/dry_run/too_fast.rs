@@ -7,8 +7,8 @@ use cdcr_shared_types::Telemetry;
 
 use super::{PositionsOf, longest_s, simulate};
 
-/// Fails where a reference is to be tracked that the dry run refuses as too fast, by its positions and without obstacles, which the guard
-/// avoids. What is too long to be simulated is not checked.
+/// Fails where a reference is to be tracked that the dry run refuses as too fast, or because the body would touch itself, by its positions
+/// and without obstacles, which the guard avoids. What is too long to be simulated is not checked.
 pub(crate) fn check_speed(
     record: &Telemetry,
     settings: NmpcSettings,
@@ -32,6 +32,6 @@ pub(crate) fn check_speed(
             "{cause}: {remedy}, or allow more than {} mm (--max-error); nothing moved",
             1e3 * allowed_m
         ),
-        None => Ok(()),
+        None => demands.check_self_contact(),
     }
 }

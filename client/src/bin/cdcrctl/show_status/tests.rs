@@ -128,6 +128,9 @@ fn a_daemon_that_waits_for_its_driver_shows_what_it_refused() {
         mode: Mode::Starting.code(),
         ..Status::default()
     };
+    let tip = "tip         not known yet: control has not begun\n";
+    let shown = table(&status, None, 0).expect("formatted");
+    assert!(shown.contains(tip), "{shown}");
     let remedy = |status: &Status| object(status)["remedy"].to_string();
     assert!(
         remedy(&status).contains("check that the driver runs"),

@@ -296,7 +296,7 @@ fn a_limit_that_the_model_decided_is_named_where_it_is_broken() {
     error.take(&record(Mode::Tracking, ReferenceState::Inside, 1, 0.001));
     let text = failed(&error);
     assert!(
-        text.ends_with("; it was decided by the model, because no tip measurement was accepted"),
+        text.ends_with("; it was decided by the model, because no measured tip was in use"),
         "{text}"
     );
     let note = error.unmeasured_note().expect("a note");

@@ -159,6 +159,9 @@ impl Screen<'_> {
     fn tip(record: &Telemetry) -> String {
         let mm = |m: [f64; 3]| m.map(|x| format!("{:6.1}", 1e3 * x)).join(" ");
         let tip = mm(record.tip_position_m);
+        if record.mode == Mode::Starting.code() {
+            return "tip not known yet: control has not begun".to_owned();
+        }
         if record.position_error_m.is_finite() {
             let reference = mm(record.reference.position_m);
             let error = four_digits(1e3 * record.position_error_m);
