@@ -46,7 +46,7 @@ class Settings(TypedDict, total=False):
     social: float
     """Coefficient c2 of Eq. 6, the weight of the swarm's best, 0 to 4."""
     solver: str
-    """'kpso-refined': Gauss-Newton, then the swarm where an error remains. 'kpso': only the paper's swarm. 'gauss-newton': damped steps from the last plan, and from the best candidate where an error remains."""
+    """'kpso-refined': Gauss-Newton, then the swarm where an error remains. 'kpso': the paper's swarm alone, from candidates of ours. 'gauss-newton': damped steps from the last plan, and from the best candidate where an error remains."""
     swarm_iterations: int
     """Iterations of the swarm, 0 to 1000."""
     swarm_size: int

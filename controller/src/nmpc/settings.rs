@@ -63,8 +63,9 @@ crate::parameters! {
     #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
     #[serde(default, deny_unknown_fields, expecting = "a table")]
     pub struct NmpcSettings {
-        /// "kpso-refined": Gauss-Newton, then the swarm where an error remains. "kpso": only the paper's swarm.
-        /// "gauss-newton": damped steps from the last plan, and from the best candidate where an error remains.
+        /// "kpso-refined": Gauss-Newton, then the swarm where an error remains. "kpso": the paper's swarm alone, from
+        /// candidates of ours. "gauss-newton": damped steps from the last plan, and from the best candidate where an error
+        /// remains.
         solver: SolverKind = SolverKind::KpsoRefined;
         /// Prediction steps N, {range}.
         horizon_steps: u32 = 2, in ranges::HORIZON_STEPS;
