@@ -8,7 +8,17 @@ from typing import Final, final
 
 from ._types import ArrayLike, Any, Doubles, Form, Interface, Interpolation, Mapping, Message, Plant, Records, Sensor, Sequence, Settings, Unpack, np
 
-__all__ = ["__version__", "Connection", "Driver", "Feed", "FeedReport", "FeedStream", "Live", "Nmpc", "Obstacle", "Robot", "Simulation", "SolveReport", "Trajectory", "connect", "default_settings", "dtype", "enumerations", "fields", "messages", "read", "setting_texts", "settings_from_toml", "simulate"]
+__all__ = ["FAR_LIMIT", "SILENT_NS", "__version__", "Connection", "Driver", "Feed", "FeedReport", "FeedStream", "Live", "Nmpc", "Obstacle", "Robot", "Simulation", "SolveReport", "Trajectory", "connect", "default_settings", "dtype", "enumerations", "fields", "messages", "read", "setting_texts", "settings_from_toml", "simulate", "words"]
+
+FAR_LIMIT: Final[int]
+"""
+After so many tips beyond the limit in a row the sensor counts as wrong.
+"""
+
+SILENT_NS: Final[int]
+"""
+A tip sensor that has measured nothing for this long is silent [ns].
+"""
 
 __version__: Final[str]
 """
@@ -753,4 +763,9 @@ def simulate(robot: Robot, trajectory: Trajectory, *, plant: Plant = "ideal", fl
     the controller takes the motors for, as the table `[actuator]`. estimator_time_constant_s: with which the estimate follows what is
     measured. acceleration_rad_s2: largest growth of a rate; by default none of the ideal robot, 40 of others.
     Raises ArgumentError for wrong shapes, unknown names and values outside their ranges.
+    """
+
+def words() -> list[tuple[str, list[str]]]:
+    """
+    The types of arguments with their words.
     """

@@ -13,20 +13,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]
 
-from ._cdcr import Connection, Robot, Simulation, dtype
+from ._cdcr import FAR_LIMIT, SILENT_NS, Connection, Robot, Simulation, dtype
 from ._errors import ArgumentError
 from ._types import Doubles, Records
+from ._wire import TipCause
 
 Source: TypeAlias = Simulation | Records | Mapping[str, Records] | Connection
 
 SHAPES = 4
 """So many shapes of the robot are drawn, from the first to the last."""
-
-# A tip sensor that has measured nothing for this long is silent.
-SILENT_NS = 1_000_000_000
-# TipCause on the wire, and after so many tips beyond the limit in a row the sensor counts as wrong.
-FAR, JUMPS = 1, 3
-FAR_LIMIT = 3
 
 OFFSET_M = 1e-4
 """A larger distance of the tip from the end of the shape is drawn."""
@@ -189,7 +184,7 @@ def _is_stray(source: Records) -> np.ndarray:
     first = np.flatnonzero(np.diff(run, prepend=-1))[np.unique(run, return_inverse=True)[1]]
     before = np.cumsum(is_new) - is_new
     in_a_row = np.cumsum(is_new) - before[first]
-    limit = np.where(cause == FAR, FAR_LIMIT, np.where(cause == JUMPS, source["measurement_jump_limit"], 0))
+    limit = np.where(cause == TipCause.FAR, FAR_LIMIT, np.where(cause == TipCause.JUMPS, source["measurement_jump_limit"], 0))
     lasts = (in_a_row > 1) & (release_ns - release_ns[first] > SILENT_NS)
     is_wrong = is_refused & ((in_a_row >= limit) | lasts)
     is_stray: np.ndarray = is_refused & (np.bincount(run, weights=is_wrong)[run] == 0)

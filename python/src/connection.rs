@@ -22,7 +22,7 @@ use pyo3::types::{PyDict, PyMapping};
 
 use crate::address::Address;
 use crate::arrays::ArrayLike;
-use crate::driver::{DriverPort, interface_of};
+use crate::driver::DriverPort;
 use crate::errors::{Class, Failure};
 use crate::feed::Feed;
 use crate::feed_stream::FeedStream;
@@ -33,6 +33,7 @@ use crate::robot::Robot;
 use crate::settings::{Settings, changed, known};
 use crate::trajectory::{Points, Source, Trajectory};
 use crate::wire::Records;
+use crate::words::{INTERFACES, chosen};
 use crate::worker::{Closed, Worker, once, refuse_forked_process, sleep_until};
 
 use live::FETCH_EACH;
@@ -361,7 +362,12 @@ impl Connection {
     #[pyo3(signature = (interface: "Interface" = "velocity"))]
     fn driver(&self, py: Python<'_>, interface: &str) -> PyResult<DriverPort> {
         let model = self.model(py)?;
-        DriverPort::open(py, &self.address, interface_of(interface)?, model)
+        DriverPort::open(
+            py,
+            &self.address,
+            chosen("interface", interface, INTERFACES)?,
+            model,
+        )
     }
 
     /// Closes the connection, and gives back everything that it had. Its feeds and streams end by themselves, and the robot then holds. Afterwards everything but stop() raises

@@ -204,14 +204,3 @@ impl DriverPort {
         format!("<Driver of {}>", self.address.robot)
     }
 }
-
-pub(crate) fn interface_of(name: &str) -> Result<Interface, Failure> {
-    match name {
-        "velocity" => Ok(Interface::Velocity),
-        "position" => Ok(Interface::Position),
-        other => Err(Failure::argument(
-            format!("interface is {other:?}"),
-            "Use \"velocity\" or \"position\".",
-        )),
-    }
-}

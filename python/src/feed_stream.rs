@@ -23,7 +23,8 @@ use crate::arrays::{ArrayLike, Numbers, shape_text};
 use crate::errors::{Class, Failure};
 use crate::numbers::SECONDS;
 use crate::running::{Running, TURN, exit_result, wait_until_holding};
-use crate::trajectory::{interpolation, orientations, wire_interpolation};
+use crate::trajectory::{orientations, wire_interpolation};
+use crate::words::{INTERPOLATIONS, chosen};
 use crate::worker::{Closed, forked};
 
 /// Counts of a stream of points.
@@ -149,7 +150,8 @@ impl FeedStream {
         interpolation: &str,
         track: bool,
     ) -> PyResult<Self> {
-        let interpolation = wire_interpolation(self::interpolation(interpolation)?);
+        let interpolation = chosen("interpolation", interpolation, INTERPOLATIONS)?;
+        let interpolation = wire_interpolation(interpolation);
         Ok(Self {
             address,
             closed,

@@ -35,6 +35,7 @@ mod settings;
 mod simulation;
 mod trajectory;
 mod wire;
+mod words;
 mod worker;
 
 /// What the package `cdcr` exports.
@@ -44,6 +45,12 @@ mod _cdcr {
     #[pymodule_export]
     #[allow(non_upper_case_globals, reason = "the name that Python has for it")]
     const __version__: &str = env!("CARGO_PKG_VERSION");
+    /// After so many tips beyond the limit in a row the sensor counts as wrong.
+    #[pymodule_export]
+    const FAR_LIMIT: u32 = cdcr_controller::estimator::FAR_LIMIT;
+    /// A tip sensor that has measured nothing for this long is silent [ns].
+    #[pymodule_export]
+    const SILENT_NS: u64 = 1_000_000 * cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS as u64;
 
     #[pymodule_export]
     use super::connection::Live;
@@ -71,4 +78,6 @@ mod _cdcr {
     use super::trajectory::Trajectory;
     #[pymodule_export]
     use super::wire::{dtype, enumerations, fields, messages};
+    #[pymodule_export]
+    use super::words::words;
 }

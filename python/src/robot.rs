@@ -16,6 +16,7 @@ use crate::errors::{Failure, REPORT};
 use crate::numbers::count;
 use crate::obstacle::{Obstacle, inner};
 use crate::settings::read;
+use crate::words::{FORMS, Form, chosen};
 
 /// Configurations that one thread computes before it takes the next block.
 const BLOCK: usize = 1024;
@@ -205,23 +206,18 @@ impl Robot {
     #[pyo3(signature = (bend, form: "Form" = "quaternion"))]
     fn orientation(&self, bend: ArrayLike<'_>, form: &str) -> PyResult<Doubles> {
         let rotation = |robot: &robot::Robot, shape: &Configuration| robot.tip_pose(shape).rotation;
-        match form {
-            "quaternion" => self.each(bend, &[4], |robot, shape, out| {
+        match chosen("form", form, FORMS)? {
+            Form::Quaternion => self.each(bend, &[4], |robot, shape, out| {
                 out.copy_from_slice(&quaternion_xyzw(&rotation(robot, shape)));
             }),
-            "matrix" => self.each(bend, &[3, 3], |robot, shape, out| {
+            Form::Matrix => self.each(bend, &[3, 3], |robot, shape, out| {
                 // nalgebra stores columns, numpy rows.
                 out.copy_from_slice(rotation(robot, shape).transpose().as_slice());
             }),
-            "zyx" => self.each(bend, &[3], |robot, shape, out| {
+            Form::Zyx => self.each(bend, &[3], |robot, shape, out| {
                 let angles = ZyxAngles::from_rotation(&rotation(robot, shape));
                 out.copy_from_slice(&[angles.phi_rad, angles.theta_rad, angles.psi_rad]);
             }),
-            other => Err(Failure::argument(
-                format!("form is {other:?}"),
-                "Use \"quaternion\", \"matrix\" or \"zyx\".",
-            )
-            .into()),
         }
     }
 

@@ -14,7 +14,6 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyMapping};
 
 use crate::arrays::{ArrayLike, Doubles};
-use crate::driver::interface_of;
 use crate::errors::Failure;
 use crate::mapping::pairs;
 use crate::nmpc::{SEEDS, status_word};
@@ -23,6 +22,7 @@ use crate::obstacle::{Obstacle, inner};
 use crate::robot::Robot;
 use crate::settings::settings;
 use crate::trajectory::Trajectory;
+use crate::words::{INTERFACES, SENSORS, chosen};
 use crate::worker::SIGNALS_EACH;
 
 /// Default of a daemon for the largest acceleration of a robot behind a driver (rad/s²).
@@ -109,7 +109,7 @@ pub(crate) fn simulate(
         flaws,
         actuator,
         time_constant_s: estimator_time_constant_s,
-        obeys_positions: interface_of(interface)? == Interface::Position,
+        obeys_positions: chosen("interface", interface, INTERFACES)? == Interface::Position,
         sensor: sensor_of(sensor, preset)?,
         without: None,
         seed: count("seed", seed, SEEDS)?,
@@ -341,17 +341,12 @@ fn with_flaws(begin: Flaws, named: Option<&Bound<'_, PyMapping>>) -> PyResult<Fl
 }
 
 fn sensor_of(name: Option<&str>, preset: RobotPreset) -> Result<Sensor, Failure> {
-    match name {
-        None if preset.measures_tip() => Ok(Sensor::Tip { every: 1 }),
-        None | Some("cables") => Ok(Sensor::Cables),
-        Some("tip") => Ok(Sensor::Tip { every: 1 }),
-        Some("both") => Ok(Sensor::CablesAndTip { every: 1 }),
-        Some("nothing") => Ok(Sensor::Nothing),
-        Some(other) => Err(Failure::argument(
-            format!("sensor is {other:?}"),
-            "Use \"cables\", \"tip\", \"both\" or \"nothing\".",
-        )),
-    }
+    let usual = if preset.measures_tip() {
+        "tip"
+    } else {
+        "cables"
+    };
+    chosen("sensor", name.unwrap_or(usual), SENSORS)
 }
 
 fn check_actuator(actuator: &Actuator, time_constant_s: f64) -> Result<(), Failure> {

@@ -16,6 +16,7 @@ use crate::arrays::{ArrayLike, Doubles, Numbers, triple};
 use crate::errors::Failure;
 use crate::numbers::{count, within};
 use crate::robot::Robot;
+use crate::words::{INTERPOLATIONS, chosen};
 
 /// A curve that can be fed or simulated.
 pub(crate) type Curve = dyn cdcr_client::Trajectory + Send + Sync;
@@ -208,7 +209,7 @@ impl Points {
             )
             .into());
         }
-        let interpolation = self::interpolation(interpolation)?;
+        let interpolation = chosen("interpolation", interpolation, INTERPOLATIONS)?;
         let orientations = orientations(quaternion, axis, count)?;
         let begin_s = times.values()[0];
         let times_s: Vec<f64> = times
@@ -336,18 +337,6 @@ fn lengths_m(robot: &Robot) -> Vec<f64> {
         .iter()
         .map(|section| section.length_m)
         .collect()
-}
-
-/// Interpolation between points, by name.
-pub(crate) fn interpolation(name: &str) -> Result<Interpolation, Failure> {
-    match name {
-        "cubic" => Ok(Interpolation::Cubic),
-        "linear" => Ok(Interpolation::Linear),
-        other => Err(Failure::argument(
-            format!("interpolation is {other:?}"),
-            "Use \"cubic\" or \"linear\".",
-        )),
-    }
 }
 
 /// The code of an interpolation in messages.
