@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use modules::{
-    Graph, Graphs, circle, circles_across_folders, graphs, imports, module_of, re_exports,
+    Graph, Graphs, Names, circle, circles_across_folders, graphs, imports, module_of, re_exports,
 };
 
 /// Sources of the crates with several modules, which import each other in one direction only.
@@ -186,10 +186,10 @@ fn indent_of(line: &str) -> &str {
     &line[..line.len() - line.trim_start().len()]
 }
 
-/// The graphs of the modules of a crate.
-fn graphs_of(source: &str) -> Graphs {
+/// The modules of a crate with their code.
+fn modules_of(source: &str) -> BTreeMap<Names, String> {
     let root = workspace().join(source);
-    let mut files = BTreeMap::<Vec<String>, String>::new();
+    let mut files = BTreeMap::<Names, String>::new();
     for file in sources(source) {
         let module = module_of(file.strip_prefix(&root).unwrap());
         if module.first().is_none_or(|name| name != "bin") {
@@ -197,7 +197,11 @@ fn graphs_of(source: &str) -> Graphs {
             files.entry(module).or_default().push_str(&code(&file));
         }
     }
-    graphs(&files)
+    files
+}
+
+fn graphs_of(source: &str) -> Graphs {
+    graphs(&modules_of(source))
 }
 
 /// Each top-level module of a crate with its imports.
@@ -212,6 +216,18 @@ fn the_folders_of_a_crate_import_each_other_in_one_direction_only() {
         let root = &graphs[&vec![]];
         assert!(!root.is_empty(), "{name} is not there");
         assert_eq!(circles_across_folders(&graphs), [""; 0], "{name}");
+    }
+}
+
+/// `main.rs` knows each module, so what a module takes from it is a circle, too.
+#[test]
+fn no_module_of_cdcrctl_names_what_main_declares() {
+    let files = modules_of("client/src/bin/cdcrctl");
+    let modules: BTreeSet<_> = files.keys().filter_map(|module| module.first()).collect();
+    for (module, code) in files.iter().filter(|(module, _)| !module.is_empty()) {
+        let named = imports(code, module);
+        let of_main = named.iter().find(|path| !modules.contains(&path[0]));
+        assert_eq!(of_main, None, "{}", module.join("/"));
     }
 }
 

@@ -13,12 +13,12 @@ use cdcr_client::{
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
 use cdcr_shared_types::{Status, Telemetry};
 
-use crate::Done;
 use crate::args::{
     ChangeArguments, CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments, GENTLE,
     LineOptions, RefOptions, SpiralOptions, StraightArguments, Target,
 };
 use crate::bar::Bar;
+use crate::done::Done;
 use crate::dry_run::{self, newest};
 use crate::interrupt::Interrupt;
 use crate::obstacle_in_way;

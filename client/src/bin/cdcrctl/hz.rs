@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use cdcr_client::{Connection, Message, Stream, monotonic_ns};
 use cdcr_shared_types::message::Struct;
 
-use crate::Done;
 use crate::args::{HzOptions, Target};
+use crate::done::Done;
 use crate::echo::{LineFormat, MessageHandler, each, watch};
 
 /// Interval of the printed lines.

@@ -5,8 +5,8 @@ use cdcr_client::{Connection, Stream, monotonic_ns};
 use cdcr_shared_types::Incident;
 use cdcr_shared_types::limits::INCIDENTS_MAX;
 
-use crate::Done;
 use crate::args::{Format, IncidentsOptions, Target};
+use crate::done::Done;
 use crate::echo::{json, line};
 use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt};
 

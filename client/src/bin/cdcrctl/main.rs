@@ -14,6 +14,7 @@ mod bar;
 mod bend_limit;
 mod calibrate;
 mod demo;
+mod done;
 mod dry_run;
 mod echo;
 mod feed;
@@ -48,7 +49,6 @@ mod value;
 mod wait;
 mod way_end;
 
-use std::io;
 use std::process::ExitCode;
 
 use cdcr_shared_types::codes::RequestKind;
@@ -56,19 +56,7 @@ use clap::Parser;
 use iceoryx2::prelude::{LogLevel, set_log_level};
 
 use args::{Arguments, Task};
-
-/// Exit code of a program ended by SIGINT, by convention of shells: 128 + 2.
-const EXIT_INTERRUPTED: u8 = 130;
-/// Exit code of a recording that ended because the disk is full.
-const EXIT_DISK_FULL: u8 = 3;
-
-/// How a task ended without an error.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Done {
-    Good,
-    Interrupted,
-    DiskFull,
-}
+use done::{Done, exit_code};
 
 fn main() -> ExitCode {
     // This program reports the errors itself, so iceoryx2's log is turned off.
@@ -78,25 +66,6 @@ fn main() -> ExitCode {
     let code = exit_code(run(&arguments));
     tell::finish();
     code
-}
-
-/// The exit code for an outcome; prints an error.
-fn exit_code(outcome: anyhow::Result<Done>) -> ExitCode {
-    match outcome {
-        Ok(Done::Good) => ExitCode::SUCCESS,
-        Ok(Done::Interrupted) => ExitCode::from(EXIT_INTERRUPTED),
-        Ok(Done::DiskFull) => ExitCode::from(EXIT_DISK_FULL),
-        // The reader of the output (head, less) has closed it.
-        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
-        Err(error) if is_output_full(&error) => {
-            tell!("error: cannot write the output: {error}");
-            ExitCode::FAILURE
-        }
-        Err(error) => {
-            tell!("error: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
 }
 
 fn run(arguments: &Arguments) -> anyhow::Result<Done> {
@@ -130,18 +99,4 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
         Task::Obstacle(options) => obstacle::run(target, options),
         Task::Calibrate(options) => calibrate::run(target, options),
     }
-}
-
-/// Whether the standard output cannot be written: the errors of files name them.
-fn is_output_full(error: &anyhow::Error) -> bool {
-    let is_named = error.chain().nth(1).is_some();
-    let cause = error.downcast_ref::<io::Error>();
-    !is_named && cause.is_some_and(|cause| cause.kind() == io::ErrorKind::StorageFull)
-}
-
-fn is_broken_pipe(error: &anyhow::Error) -> bool {
-    error
-        .chain()
-        .filter_map(|cause| cause.downcast_ref::<io::Error>())
-        .any(|cause| cause.kind() == io::ErrorKind::BrokenPipe)
 }

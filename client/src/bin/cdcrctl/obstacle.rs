@@ -17,8 +17,8 @@ use cdcr_shared_types::codes::{EventKind, ObstacleShape, Outcome};
 use cdcr_shared_types::limits::{OBSTACLE_AGE_MS_MAX, OBSTACLE_SPEED_M_S_MAX, OBSTACLES_MAX};
 use cdcr_shared_types::{Header, InputEvent, Obstacle, Status, Telemetry};
 
-use crate::Done;
 use crate::args::{Format, ObstacleAction, ObstacleAdd, ObstacleOptions, Target};
+use crate::done::Done;
 use crate::dry_run::newest;
 use crate::echo::json;
 use crate::echo::line::clearance_text;

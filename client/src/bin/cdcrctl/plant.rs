@@ -10,8 +10,8 @@ use cdcr_client::{PlantDriver, STATUS_TIMEOUT, counted, events, remedy};
 use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason};
 use cdcr_shared_types::{InputEvent, Telemetry};
 
-use crate::Done;
 use crate::args::{PlantOptions, Target};
+use crate::done::Done;
 use crate::interrupt::Interrupt;
 use crate::tell;
 

@@ -7,8 +7,8 @@ use cdcr_client::{Connection, Message, Stream};
 use cdcr_shared_types::message::Struct;
 use serde_json::{Value, json};
 
-use crate::Done;
 use crate::args::{EchoTopic, PlotOptions, Target};
+use crate::done::Done;
 use crate::echo::field::{check, select, without_null};
 use crate::echo::{LineFormat, MessageHandler, json, paced, watch};
 

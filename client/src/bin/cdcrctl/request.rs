@@ -5,8 +5,8 @@ use cdcr_client::{RequestError, Requester};
 use cdcr_shared_types::codes::{Outcome, RequestKind};
 use cdcr_shared_types::{Location, Response};
 
-use crate::Done;
 use crate::args::Target;
+use crate::done::Done;
 use crate::{unmeasured_tip, wait};
 
 /// Time for which `track` waits for a reference that another program is about to feed, and the retry

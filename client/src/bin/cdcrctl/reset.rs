@@ -6,8 +6,9 @@ use cdcr_shared_types::codes::{Interface, RequestKind};
 use cdcr_shared_types::limits::BEND_TOLERANCE_RAD;
 
 use crate::args::{ResetOptions, Target};
+use crate::done::Done;
 use crate::show_status::following_error_rad;
-use crate::{Done, wait};
+use crate::wait;
 
 /// Sensor noise and play leave less between command and measurement \[rad\].
 const SEEN_RAD: f64 = 0.02;

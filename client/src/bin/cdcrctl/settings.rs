@@ -16,8 +16,8 @@ use cdcr_shared_types::codes::Outcome;
 use cdcr_shared_types::{SolverSettings, Status, Telemetry};
 use serde_json::Value;
 
-use crate::Done;
 use crate::args::{Format, SettingsAction, SettingsOptions, Target};
+use crate::done::Done;
 use crate::setting::{Setting, SettingChange};
 
 /// Time for which the solves are monitored for the new budget.

@@ -17,8 +17,8 @@ use cdcr_shared_types::message::{Field, Struct};
 use cdcr_shared_types::{LatencySummary, Statistics, Status};
 use serde_json::{Value, json};
 
-use crate::Done;
 use crate::args::{Format, StatusOptions, Target};
+use crate::done::Done;
 use crate::echo::json;
 use crate::echo::line::{clearance_text, latency_text};
 use crate::interrupt::Interrupt;

@@ -6,9 +6,9 @@ use cdcr_client::{Connection, RequestError, TelemetryStream};
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind, guard};
 use cdcr_shared_types::{Response, Telemetry};
 
-use crate::Done;
 use crate::args::Target;
 use crate::bar::Bar;
+use crate::done::Done;
 use crate::dry_run::newest;
 use crate::echo::line::clearance_text;
 use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt, QUIET};

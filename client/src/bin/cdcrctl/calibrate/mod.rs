@@ -12,8 +12,8 @@ mod recording;
 mod report;
 mod resting;
 
-use crate::Done;
 use crate::args::{CalibrateAction, CalibrateOptions, Target};
+use crate::done::Done;
 
 pub(crate) fn run(target: &Target, options: &CalibrateOptions) -> anyhow::Result<Done> {
     match &options.action {

@@ -9,7 +9,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::resting::{Sensors, next, rests};
-use crate::Done;
+use crate::done::Done;
 use crate::args::{Format, NoiseOptions, Target};
 use crate::bar::Bar;
 use crate::interrupt::Interrupt;

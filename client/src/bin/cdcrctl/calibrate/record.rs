@@ -9,9 +9,9 @@ use cdcr_shared_types::Telemetry;
 use super::pairs::Pairs;
 use super::recording::header;
 use super::resting::{Sensors, next};
-use crate::Done;
 use crate::args::{RecordOptions, Target};
 use crate::bar::Bar;
+use crate::done::Done;
 use crate::files::new_file;
 use crate::interrupt::Interrupt;
 

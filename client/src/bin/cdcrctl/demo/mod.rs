@@ -23,9 +23,9 @@ use cdcr_client::{
 };
 use cdcr_process::{PrivatePlace, fill_folder, output_folder};
 
-use crate::Done;
 use crate::args::{DemoOptions, Format};
 use crate::bar::Bar;
+use crate::done::Done;
 use crate::incidents;
 use crate::interrupt::Interrupt;
 use baseline::Baseline;

@@ -11,8 +11,8 @@ use cdcr_client::{Connection, DURATION_MAX_S, Message, Stream, counted};
 use cdcr_shared_types::Service;
 use cdcr_shared_types::message::Struct;
 
-use crate::Done;
 use crate::args::{EchoOptions, EchoTopic, Format, Target};
+use crate::done::Done;
 use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt, QUIET};
 
 /// Text format of one kind of message.

@@ -18,7 +18,7 @@ use cdcr_shared_types::{Header, Obstacle, Service};
 use super::removals::Removals;
 use super::scene::{self, SceneAction, SceneChange};
 use super::{TIMEOUT, accepted, check};
-use crate::Done;
+use crate::done::Done;
 use crate::files::read_text;
 use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt};
 

@@ -10,8 +10,8 @@ use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
 use cdcr_shared_types::message::{Array, Field, Kind, Meaning, Struct, Value};
 
 use super::file::{RecordedMessage, Recording};
-use crate::Done;
 use crate::args::ConvertOptions;
+use crate::done::Done;
 use crate::echo::json::text_of;
 use crate::files::new_file;
 use crate::interrupt::Interrupt;

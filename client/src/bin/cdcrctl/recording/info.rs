@@ -10,8 +10,8 @@ use serde_json::{Map, Value, json};
 use super::file::{RecordedMessage, Recording};
 use super::repair::repair;
 use super::topic::Topic;
-use crate::Done;
 use crate::args::{Format, InfoOptions};
+use crate::done::Done;
 use crate::interrupt::Interrupt;
 use crate::tip_error::{TipError, is_along};
 

@@ -17,12 +17,13 @@ use super::invocation::Invocation;
 use super::sink::{CHANNELS, Head, Sink};
 use super::when::{date_time, unix_offset_ns};
 use crate::args::{RecordingOptions, Target};
+use crate::done::Done;
 use crate::echo::json;
 use crate::files::check_new;
 use crate::interrupt::Interrupt;
 use crate::settings::save::configuration;
+use crate::tell;
 use crate::trigger::Trigger;
-use crate::{Done, tell};
 
 /// Interval of the flushes: a killed recorder loses at most this, besides data that waits for the disk.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);

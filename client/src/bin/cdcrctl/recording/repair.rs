@@ -8,7 +8,7 @@ use cdcr_client::counted;
 use cdcr_interchange::mcap::{Item, Loss, ReadError, Stamp, Writer};
 
 use super::file::{DamagedRecording, Recording};
-use crate::Done;
+use crate::done::Done;
 use crate::files::new_file;
 
 /// Losses listed singly.

@@ -17,8 +17,8 @@ use serde_json::json;
 use super::file::{RecordedMessage, Recording};
 use super::topic::Topic;
 use super::{play, what_if};
-use crate::Done;
 use crate::args::{Format, ReplayOptions, Target};
+use crate::done::Done;
 
 pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Done> {
     if !options.with.is_empty() {

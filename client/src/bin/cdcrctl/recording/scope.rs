@@ -12,10 +12,11 @@ use ratatui::crossterm::terminal;
 
 use super::record::{Around, RecordTask, RecordWatch, record};
 use crate::args::{ScopeOptions, Target};
+use crate::done::Done;
 use crate::keys::Keys;
+use crate::tell;
 use crate::top;
 use crate::trigger::Trigger;
-use crate::{Done, tell};
 use screen::ScopeScreen;
 
 /// Columns of a chart, without its numbers.

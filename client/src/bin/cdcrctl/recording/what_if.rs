@@ -8,8 +8,8 @@ use serde_json::json;
 
 use super::file::Recording;
 use super::replay::each_cycle;
-use crate::Done;
 use crate::args::{Format, ReplayOptions};
+use crate::done::Done;
 use crate::setting::SettingChange;
 
 /// Compares the recorded commands with those of other settings, each cycle separately.

@@ -9,7 +9,7 @@ use cdcr_shared_types::{SolverSettings, Status};
 use serde_json::Value as Json;
 use toml_edit::{DocumentMut, Item, Table, Value};
 
-use crate::Done;
+use crate::done::Done;
 use crate::setting::{AUTO, Setting};
 
 /// Defaults of a daemon without a configuration file.

@@ -21,8 +21,8 @@ use cdcr_shared_types::codes::RequestKind;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
-use crate::Done;
 use crate::args::{Target, TopOptions};
+use crate::done::Done;
 use crate::interrupt::{INTERRUPT_INTERVAL, Interrupt, QUIET};
 use crate::keys::{self, Keys};
 use crate::picture::Signs;

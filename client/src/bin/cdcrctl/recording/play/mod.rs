@@ -21,9 +21,9 @@ use cdcr_shared_types::{ObstacleUpdate, ReferenceChunk, Telemetry};
 
 use super::file::Recording;
 use super::topic::Topic;
-use crate::Done;
 use crate::args::{ReplayOptions, Target};
 use crate::bar::Bar;
+use crate::done::Done;
 use crate::dry_run::newest;
 use crate::feed::check_mode;
 use crate::interrupt::Interrupt;

@@ -13,8 +13,8 @@ use anyhow::{Context, ensure};
 use cdcr_client::counted;
 
 use super::file::Recording;
-use crate::Done;
 use crate::args::ReportOptions;
+use crate::done::Done;
 use crate::files::{check_new, new_file};
 use content::Content;
 
