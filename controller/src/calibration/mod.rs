@@ -26,7 +26,7 @@ use fit::{Estimated, Square, fit, information, residuals};
 pub use geometry::{Geometry, PARAMETERS_MAX, Parameter, ParameterGroup};
 pub use held::{Held, HeldReason};
 use held::{covariance, hold_uncertain, hold_undetermined, uncertain};
-pub use noise::Noise;
+pub use noise::{DEVIATION_OF_MEDIAN, Noise, median};
 pub use play::behind_play;
 pub use prediction::CalibrationRow;
 use prediction::{Twist, residual_of};

@@ -6,7 +6,7 @@ use super::prediction::{CalibrationRow, Prediction, residual_of};
 /// Median of a chi-squared variable with three degrees of freedom.
 const MEDIAN_CHI_SQUARE_3: f64 = 2.366;
 /// Ratio of the standard deviation to the median absolute deviation of normal numbers.
-const DEVIATION_OF_MEDIAN: f64 = 1.4826;
+pub const DEVIATION_OF_MEDIAN: f64 = 1.4826;
 /// Lower limit of the estimated noise (m and rad).
 const NOISE_MIN: f64 = 1e-9;
 
@@ -118,8 +118,8 @@ impl Noise {
     }
 }
 
-/// Median; 0 for an empty list.
-fn median(mut values: Vec<f64>) -> f64 {
+/// The median, of an even number of values the upper one of the two in the middle; 0 for an empty list.
+pub fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() {
         return 0.0;
     }

@@ -3,15 +3,16 @@ use std::io::Write;
 
 use anyhow::ensure;
 use cdcr_client::STATUS_TIMEOUT;
+use cdcr_controller::calibration::{DEVIATION_OF_MEDIAN, median};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementKind, Mode};
 use serde::Serialize;
 use serde_json::json;
 
 use super::resting::{Sensors, next, rests};
-use crate::done::Done;
 use crate::args::{Format, NoiseOptions, Target};
 use crate::bar::Bar;
+use crate::done::Done;
 use crate::interrupt::Interrupt;
 
 /// Minimum number of measurements for a standard deviation.
@@ -20,8 +21,6 @@ const LEAST: usize = 20;
 const SAFE: f64 = 5.0;
 /// A measurement with a number farther from the median than this, in standard deviations, is a stray: noise is not.
 const STRAY: f64 = 6.0;
-/// Standard deviation of normal noise, relative to the median of its absolute deviations.
-const PER_MEDIAN: f64 = 1.4826;
 /// Rounding of a value \[m\].
 const ROUNDING_M: f64 = 1e-12;
 
@@ -201,7 +200,7 @@ impl Sensor {
             let away_m: Vec<_> = values.iter().map(|m| (m - middle_m).abs()).collect();
             let steps_m = away_m.iter().copied().filter(|m| *m > ROUNDING_M);
             let step_m = steps_m.fold(f64::INFINITY, f64::min);
-            let spread_m = match PER_MEDIAN * median(away_m.clone()) {
+            let spread_m = match DEVIATION_OF_MEDIAN * median(away_m.clone()) {
                 spread_m if spread_m > ROUNDING_M => spread_m,
                 _ => step_m,
             };
@@ -213,12 +212,6 @@ impl Sensor {
         }
         strays_m
     }
-}
-
-/// Of at least one value.
-pub(super) fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 fn deviation(values: &[f64]) -> f64 {

@@ -5,13 +5,12 @@ use std::path::Path;
 
 use cdcr_client::{cable_tolerances_m, counted};
 use cdcr_controller::calibration::{
-    Calibration, Estimate, Geometry, Parameter, ParameterGroup, TipError,
+    Calibration, Estimate, Geometry, Parameter, ParameterGroup, TipError, median,
 };
 use cdcr_controller::robot::{RobotParameters, SectionParameters};
 use serde_json::{Value, json};
 
 use super::advice::{self, CORRELATED};
-use super::noise::median;
 use super::recording::CalibrationRows;
 
 /// Text, with the configuration at the end.
