@@ -32,7 +32,8 @@
 //! Messages have no logic: nothing here validates, computes or decides; `daemon/src/convert/` validates at the edge.
 //! With the feature `model`, the module `model` converts them to their counterparts in `cdcr_controller`.
 //! The other modules hold what daemon and client share: folders, files, locks, permissions, shared-memory space, the
-//! reader of `/proc/stat`, the output of `cdcrd bare`, and the plural of counted nouns.
+//! reader of `/proc/stat`, the output of `cdcrd bare`, and the plural of counted nouns; with the feature `duration` times on
+//! command lines, with `histogram` the percentiles of a histogram.
 
 mod access;
 mod bare;
@@ -42,6 +43,8 @@ mod command;
 mod control;
 mod counted;
 pub mod declared;
+#[cfg(feature = "duration")]
+mod duration;
 mod header;
 mod incident;
 pub mod ipc;
@@ -64,6 +67,8 @@ pub use bare::{BARE_COLUMNS, BareSummary};
 pub use command::Command;
 pub use control::{Request, Response};
 pub use counted::counted;
+#[cfg(feature = "duration")]
+pub use duration::{duration_in, parse_duration};
 pub use header::Header;
 pub use incident::Incident;
 pub use measurement::Measurement;

@@ -237,3 +237,18 @@ message! {
         driver_measures_tip_only: u32 [yes],
     }
 }
+
+/// Without values all are zero.
+#[cfg(feature = "histogram")]
+impl From<&hdrhistogram::Histogram<u64>> for LatencySummary {
+    fn from(of: &hdrhistogram::Histogram<u64>) -> Self {
+        Self {
+            count: of.len(),
+            min_ns: if of.is_empty() { 0 } else { of.min() },
+            p50_ns: of.value_at_quantile(0.5),
+            p99_ns: of.value_at_quantile(0.99),
+            p999_ns: of.value_at_quantile(0.999),
+            max_ns: of.max(),
+        }
+    }
+}

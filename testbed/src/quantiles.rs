@@ -6,21 +6,15 @@ use serde_json::{Value, json};
 
 /// Five quantiles \[µs\]; null without values.
 pub fn quantiles(times_ns: &Histogram<u64>) -> Value {
-    let [p50, p99, p999] = [0.5, 0.99, 0.999].map(|of| times_ns.value_at_quantile(of));
-    let all_ns = [times_ns.min(), p50, p99, p999, times_ns.max()];
-    named_us(times_ns.len(), all_ns)
+    reported(&times_ns.into())
 }
 
 /// The same from a daemon's statistics.
 pub fn reported(of: &LatencySummary) -> Value {
     let all_ns = [of.min_ns, of.p50_ns, of.p99_ns, of.p999_ns, of.max_ns];
-    named_us(of.count, all_ns)
-}
-
-fn named_us(count: u64, times_ns: [u64; 5]) -> Value {
-    let [min, p50, p99, p999, max] = times_ns.map(|time_ns| time_ns as f64 * 1e-3);
+    let [min, p50, p99, p999, max] = all_ns.map(|time_ns| time_ns as f64 * 1e-3);
     let all = json!({ "min": min, "p50": p50, "p99": p99, "p999": p999, "max": max });
-    if count > 0 { all } else { Value::Null }
+    if of.count > 0 { all } else { Value::Null }
 }
 
 pub fn quantile_us(times_ns: &Histogram<u64>, quantile: f64) -> f64 {

@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
+use cdcr_shared_types::parse_duration;
 use clap::ValueEnum;
 use serde_json::json;
 
@@ -38,7 +39,7 @@ named! {
 #[derive(Debug, Clone, PartialEq, clap::Args)]
 pub struct DeadlineOptions {
     /// Total measured time per subject and load, over all rounds.
-    #[arg(long, default_value = "60s", value_parser = humantime::parse_duration)]
+    #[arg(long, default_value = "60s", value_parser = parse_duration)]
     pub duration: Duration,
     /// Loads on the cores of the client, comma-separated [default: all but stress-ng,
     /// one after the other].
@@ -48,7 +49,7 @@ pub struct DeadlineOptions {
     #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub rounds: u32,
     /// Period of the loop [default: as configured].
-    #[arg(long, value_parser = humantime::parse_duration)]
+    #[arg(long, value_parser = parse_duration)]
     pub period: Option<Duration>,
     /// Configuration of the daemon [default: three sections].
     #[arg(long, value_name = "FILE")]

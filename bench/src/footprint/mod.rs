@@ -4,8 +4,9 @@ mod daemon;
 
 use std::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::Result;
 use cdcr_process::program;
+use cdcr_shared_types::duration_in;
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
@@ -31,16 +32,9 @@ pub struct FootprintOptions {
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
     rounds: u32,
     /// Tracking time per daemon, 100ms to 1h; without a client it is measured for 2/5 of that.
-    #[arg(long, default_value = "10s", value_parser = duration)]
+    // Shorter, the counts of the kernel have no meaning.
+    #[arg(long, default_value = "10s", value_parser = duration_in(0.1..=3600.0))]
     duration: Duration,
-}
-
-/// Shorter, the counts of the kernel have no meaning.
-fn duration(text: &str) -> Result<Duration> {
-    let duration = humantime::parse_duration(text)?;
-    let is_allowed = (0.1..=3600.0).contains(&duration.as_secs_f64());
-    ensure!(is_allowed, "must be 100ms to 1h");
-    Ok(duration)
 }
 
 impl FootprintOptions {

@@ -14,8 +14,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use cdcr_client::monotonic_ns;
-use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::{Interface, RequestKind, realtime};
+use cdcr_shared_types::{Location, parse_duration};
 use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
@@ -48,7 +48,7 @@ pub struct LatencyOptions {
     #[arg(long, default_value_t = 250, value_parser = clap::value_parser!(u16).range(5..=10_000))]
     pub samples: u16,
     /// Period of the loop [default: as configured].
-    #[arg(long, value_parser = humantime::parse_duration)]
+    #[arg(long, value_parser = parse_duration)]
     pub period: Option<Duration>,
     /// Configuration of the daemon [default: three sections].
     #[arg(long, value_name = "FILE")]

@@ -17,7 +17,7 @@ rate --spin 2000 => 0 to 1000
 rate --spin NaN => 0 to 1000
 rate --rounds 0 => 1..=100
 rate --quick --rounds 2 => cannot be used with
-footprint --duration 1ms => 100ms to 1h
+footprint --duration 1ms => must be 0.1 s to 3600 s
 footprint --rounds 0 => 1..=100
 footprint --quick --rounds 2 => cannot be used with
 all --quick --only budget --out /dev/null/inside => cannot create the folder /dev/null/inside

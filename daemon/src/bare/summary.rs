@@ -75,7 +75,7 @@ fn names(missing: u32) -> Vec<String> {
 fn percentiles(latencies_ns: impl Iterator<Item = u64>) -> Result<LatencySummary> {
     let mut histogram = latency::histogram(DIGITS)?;
     latencies_ns.for_each(|latency_ns| histogram.saturating_record(latency_ns));
-    Ok(latency::summary(&histogram))
+    Ok(LatencySummary::from(&histogram))
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use cdcr_shared_types::codes::LateCause;
-use cdcr_shared_types::{BARE_COLUMNS, BareSummary, LatencySummary};
+use cdcr_shared_types::{BARE_COLUMNS, BareSummary, LatencySummary, parse_duration};
 use clap::{Args, ValueEnum};
 
 use super::{ConfigSource, end_with_process};
@@ -33,7 +33,7 @@ pub(super) struct BareOptions {
     #[command(flatten)]
     source: ConfigSource,
     /// Duration: 1 to 10 million periods.
-    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
+    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = parse_duration)]
     duration: Duration,
     /// Output format.
     #[arg(long, value_enum, default_value_t = BareFormat::Text, value_name = "FORMAT")]
@@ -63,18 +63,6 @@ pub(super) fn run(options: &BareOptions) -> Result<()> {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         written => written.context("cannot write the result"),
     }
-}
-
-/// Parses `10s`, `0.5s`, `250ms`, `1m 10s`.
-fn duration(text: &str) -> Result<Duration, String> {
-    let seconds = text.trim().strip_suffix('s').map(str::trim_end);
-    if let Some(Ok(seconds)) = seconds.map(str::parse::<f64>) {
-        return Duration::try_from_secs_f64(seconds).map_err(|cause| cause.to_string());
-    }
-    if text.trim().parse::<f64>().is_ok() {
-        return Err("a unit is missing: use for example 10s or 250ms".to_owned());
-    }
-    humantime::parse_duration(text).map_err(|cause| format!("{cause} (for example 10s or 250ms)"))
 }
 
 fn write(out: &mut impl Write, format: BareFormat, outcome: &Outcome) -> io::Result<()> {
@@ -292,16 +280,5 @@ core             1
         assert_eq!(json["run_delay"], serde_json::Value::Null);
         assert_eq!(json["causes"]["another task had the core"], 1);
         assert_eq!(json["realtime_missing"][1], "locked memory");
-    }
-
-    #[test]
-    fn durations_with_decimals_and_units() {
-        assert_eq!(duration("0.5s"), Ok(Duration::from_millis(500)));
-        assert_eq!(duration("250ms"), Ok(Duration::from_millis(250)));
-        assert_eq!(duration("1m 10s"), Ok(Duration::from_secs(70)));
-        assert!(duration("5").is_err_and(|error| error.starts_with("a unit is missing")));
-        for text in ["", "-1s", "nans", "infs", "1e300s", "soon"] {
-            assert!(duration(text).is_err(), "{text}");
-        }
     }
 }

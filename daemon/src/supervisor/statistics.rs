@@ -204,7 +204,7 @@ impl Window {
 
     fn summary(&self) -> wire::Statistics {
         let [wake, gather, compute, response, publish, solve] =
-            self.latencies.each_ref().map(latency::summary);
+            self.latencies.each_ref().map(wire::LatencySummary::from);
         wire::Statistics {
             wake,
             gather,

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use cdcr_client::{DURATION_MAX_S, FigurePlane};
 use cdcr_shared_types::codes::Interpolation;
+pub(crate) use cdcr_shared_types::duration_in;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
 /// Three numbers `x,y,z`.
@@ -108,37 +109,6 @@ pub(crate) fn duration(text: &str) -> Result<Duration, String> {
     duration_in(0.0..=DURATION_MAX_S)(text)
 }
 
-/// A time in a range \[s\].
-pub(crate) fn duration_in(
-    range_s: RangeInclusive<f64>,
-) -> impl Fn(&str) -> Result<Duration, String> + Clone {
-    move |text| {
-        let (duration, least, most) = (parse_duration(text)?, range_s.start(), range_s.end());
-        let is_within = range_s.contains(&duration.as_secs_f64());
-        let refused = || format!("must be {least} s to {most} s");
-        is_within.then_some(duration).ok_or_else(refused)
-    }
-}
-
-/// `5s`, `4.97s`, `250ms`, `1m 10s`.
-fn parse_duration(text: &str) -> Result<Duration, String> {
-    let seconds = text.trim().strip_suffix('s').map(str::trim_end);
-    if let Some(Ok(seconds)) = seconds.map(str::parse::<f64>) {
-        // humantime does not accept decimals.
-        return Duration::try_from_secs_f64(seconds).map_err(|_| {
-            if seconds < 0.0 {
-                "is below zero".to_owned()
-            } else {
-                format!("{seconds:e} s is not a possible time")
-            }
-        });
-    }
-    if text.trim().parse::<f64>().is_ok() {
-        return Err("a unit is missing: use for example 5s or 250ms".to_owned());
-    }
-    humantime::parse_duration(text).map_err(|cause| format!("{cause} (for example 5s or 250ms)"))
-}
-
 /// The size of a file, from 1 MB to 1000 TB: `500MB`, `1.5GB` \[bytes\].
 pub(crate) fn size_bytes(text: &str) -> Result<u64, String> {
     let units = [("MB", 1e6), ("GB", 1e9), ("TB", 1e12)];
@@ -185,26 +155,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn durations_with_decimals_and_units() {
-        assert_eq!(parse_duration("4.97s"), Ok(Duration::from_millis(4970)));
-        assert_eq!(parse_duration("5 s"), Ok(Duration::from_secs(5)));
-        assert_eq!(parse_duration("250ms"), Ok(Duration::from_millis(250)));
-        assert_eq!(parse_duration("1m 10s"), Ok(Duration::from_secs(70)));
-        assert!(parse_duration("-1s").is_err());
-        let refused = parse_duration("5").expect_err("5 of what");
-        assert_eq!(refused, "a unit is missing: use for example 5s or 250ms");
-        assert!(parse_duration("nans").is_err());
-    }
-
-    #[test]
     fn numbers_beyond_all_use_are_refused_in_few_digits() {
         for text in ["1e308", "-1e10", "1e-300"] {
             let refused = positive(text).expect_err(text);
             assert!(refused.len() < 30, "{refused}");
         }
-        let refused = parse_duration("1e30s").expect_err("too long");
-        assert_eq!(refused, "1e30 s is not a possible time");
-        assert_eq!(parse_duration("-2s"), Err("is below zero".to_owned()));
     }
 
     #[test]
