@@ -105,11 +105,13 @@ impl ConfigSource {
         for warning in warnings {
             tracing::warn!("{warning}");
         }
-        for (key, name) in [
-            ("robot.name", "CDCR_ROBOT"),
-            ("transport.prefix", "CDCR_PREFIX"),
-            ("transport.root", "CDCR_ROOT"),
-        ] {
+        let root = self.root.clone().map(PathBuf::into_os_string);
+        let short = [
+            ("robot.name", "CDCR_ROBOT", "--robot", &self.robot),
+            ("transport.prefix", "CDCR_PREFIX", "--prefix", &self.prefix),
+            ("transport.root", "CDCR_ROOT", "--root", &root),
+        ];
+        for (key, name, ..) in short {
             layers = with(layers, key, variable(name), name)?;
         }
         for (key, value) in self.tuning.into_iter().flat_map(TuningPreset::keys) {
@@ -118,16 +120,8 @@ impl ConfigSource {
         for (key, value) in &self.set {
             layers = layers.key(key, value, "--set")?;
         }
-        for (key, name, value) in [
-            ("robot.name", "--robot", self.robot.clone()),
-            ("transport.prefix", "--prefix", self.prefix.clone()),
-            (
-                "transport.root",
-                "--root",
-                self.root.clone().map(PathBuf::into_os_string),
-            ),
-        ] {
-            layers = with(layers, key, value, name)?;
+        for (key, _, name, value) in short {
+            layers = with(layers, key, value.clone(), name)?;
         }
         layers.settings()
     }
