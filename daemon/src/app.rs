@@ -269,10 +269,10 @@ fn make_cycle(validated: &Validated, clock: &impl Clock) -> Result<Cycle> {
 
 /// Number of cycles for the robot to come to rest: its longest ramp, and a reserve.
 fn cycles_to_rest(validated: &Validated) -> u64 {
-    let rates = validated.robot.sections().iter().map(|s| s.rate_max_rad_s);
-    let ramp_s = rates.fold(0.0, f64::max) / validated.config.motion.deceleration_rad_s2;
+    let config = &validated.config;
+    let ramp_s = config.robot.fastest_rad_s() / config.motion.deceleration_rad_s2;
     let rest_s = (ramp_s + REST_SLACK_S).min(REST_MAX_S);
-    (rest_s * 1e3 / validated.config.cycle.period_ms).ceil() as u64
+    (rest_s * 1e3 / config.cycle.period_ms).ceil() as u64
 }
 
 fn announce(validated: &Validated) {

@@ -49,8 +49,8 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
     let left_ns = cycle.deadline_ns().saturating_sub(cycle.budget_margin_ns());
     let left_ms = left_ns as f64 / 1e6;
     let period_ms = cycle.period_ms;
-    let length_m: f64 = config.robot.sections.iter().map(|s| s.length_m).sum();
-    let ramp_s = fastest_rad_s(config) / motion.deceleration_rad_s2;
+    let length_m = config.robot.length_m();
+    let ramp_s = config.robot.fastest_rad_s() / motion.deceleration_rad_s2;
     let mut all = Vec::new();
     warn_where! { all:
         left_ms <= 0.0 => "cycle.deadline_ms leaves the solver no time: cycle.budget_margin_ms uses up the deadline of {deadline_ms} ms";
@@ -95,12 +95,6 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
     all
 }
 
-/// Largest rate of any section \[rad/s\].
-fn fastest_rad_s(config: &Config) -> f64 {
-    let rates = config.robot.sections.iter().map(|s| s.rate_max_rad_s);
-    rates.fold(0.0, f64::max)
-}
-
 /// Values beyond what their declarations call usual.
 fn unusual(config: &Config) -> Vec<String> {
     let numbers = numbers(config).into_iter();
@@ -117,7 +111,7 @@ fn of_units(config: &Config, all: &mut Vec<String>) {
     let is_short = |ms: f64| ms > 0.0 && ms < 0.5_f64.min(0.1 * config.cycle.period_ms);
     let full_m = config.robot.full_stroke_m();
     let stroke_m = config.robot.cable_stroke_max_m;
-    let bend_m = least_stroke_m(&config.robot.sections);
+    let bend_m = config.robot.least_stroke_m();
     // Upper bound: all components at their largest rates, in the direction of one cable.
     let sections = config.robot.sections.iter();
     let speeds_m_s = sections.map(|section| section.cable_radius_m * section.rate_max_rad_s);
@@ -137,18 +131,10 @@ fn of_units(config: &Config, all: &mut Vec<String>) {
     }
 }
 
-/// Motion of a cable of one section at full bend, of the section in which it is least \[m\].
-fn least_stroke_m(sections: &[SectionParameters]) -> f64 {
-    let strokes_m = sections
-        .iter()
-        .map(|section| section.cable_radius_m * section.bend_max_rad);
-    strokes_m.fold(f64::INFINITY, f64::min)
-}
-
 /// Limits with which the robot hardly moves, or not where it is asked to.
 fn of_reach(config: &Config, all: &mut Vec<String>) {
     let motion = &config.motion;
-    let grows_s = fastest_rad_s(config) / motion.acceleration_rad_s2;
+    let grows_s = config.robot.fastest_rad_s() / motion.acceleration_rad_s2;
     let full_m = config.robot.full_stroke_m();
     let stroke_m = config.robot.cable_stroke_max_m;
     warn_where! { all:
@@ -172,10 +158,10 @@ fn of_checks(config: &Config, all: &mut Vec<String>) {
     if link.kind != LinkKind::Driver {
         return;
     }
-    let sections = &config.robot.sections;
-    let most_rad = 2.0 * sections.iter().map(|s| s.bend_max_rad).fold(0.0, f64::max);
-    let bend_m = least_stroke_m(sections);
-    let unmeasured_rad = fastest_rad_s(config) * link.measurement_timeout_ms * 1e-3;
+    let bends_rad = config.robot.sections.iter().map(|s| s.bend_max_rad);
+    let most_rad = 2.0 * bends_rad.fold(0.0, f64::max);
+    let bend_m = config.robot.least_stroke_m();
+    let unmeasured_rad = config.robot.fastest_rad_s() * link.measurement_timeout_ms * 1e-3;
     for (key, value) in [
         ("following_fault_rad", safety.following_fault_rad),
         ("measurement_jump_rad", safety.measurement_jump_rad),

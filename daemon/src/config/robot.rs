@@ -23,10 +23,30 @@ table! {
 }
 
 impl RobotConfig {
+    /// Length of the robot \[m\].
+    pub(crate) fn length_m(&self) -> f64 {
+        self.sections.iter().map(|s| s.length_m).sum()
+    }
+
+    /// Largest rate of any section \[rad/s\].
+    pub(crate) fn fastest_rad_s(&self) -> f64 {
+        let rates = self.sections.iter().map(|s| s.rate_max_rad_s);
+        rates.fold(0.0, f64::max)
+    }
+
     /// Largest stroke of a cable with every section at its largest bend \[m\].
     pub(crate) fn full_stroke_m(&self) -> f64 {
+        self.strokes_m().sum()
+    }
+
+    /// Motion of a cable of one section at full bend, of the section in which it is least \[m\].
+    pub(crate) fn least_stroke_m(&self) -> f64 {
+        self.strokes_m().fold(f64::INFINITY, f64::min)
+    }
+
+    fn strokes_m(&self) -> impl Iterator<Item = f64> {
         let sections = self.sections.iter();
-        sections.map(|s| s.cable_radius_m * s.bend_max_rad).sum()
+        sections.map(|s| s.cable_radius_m * s.bend_max_rad)
     }
 
     /// The robot described by the keys.

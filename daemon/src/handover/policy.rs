@@ -98,7 +98,7 @@ impl Policy {
                 jump_limit: config.safety.measurement_jump_limit,
                 // Commands have an effect later, by the lead of the motors.
                 frozen_rad: config.safety.measurement_frozen_rad
-                    + lead_s(config) * fastest_rad_s(config),
+                    + lead_s(config) * config.robot.fastest_rad_s(),
             },
             following: FollowingRules {
                 warning_rad: config.safety.following_warning_rad,
@@ -177,7 +177,7 @@ pub(crate) fn approach_limits(config: &Config) -> Option<ApproachLimits> {
     (!is_direct).then_some(ApproachLimits {
         speed_m_s: motion.approach_speed_m_s,
         acceleration_m_s2: motion.approach_acceleration_m_s2,
-        excursion_m: EXCURSION_SHARE * reach_m(config),
+        excursion_m: EXCURSION_SHARE * config.robot.length_m(),
         turn_rad_s: motion.home_rate_rad_s,
     })
 }
@@ -193,22 +193,6 @@ fn approach_distance_m(config: &Config) -> f64 {
 /// Known lag of the motors behind their commands \[s\].
 fn lead_s(config: &Config) -> f64 {
     actuator(config).lead_s()
-}
-
-/// Length of the robot \[m\].
-fn reach_m(config: &Config) -> f64 {
-    let sections = config.robot.sections.iter();
-    sections.map(|section| section.length_m).sum()
-}
-
-/// Largest rate of any section \[rad/s\].
-fn fastest_rad_s(config: &Config) -> f64 {
-    let rates = config
-        .robot
-        .sections
-        .iter()
-        .map(|section| section.rate_max_rad_s);
-    rates.fold(0.0, f64::max)
 }
 
 /// Without a configured limit, a robot behind a driver has the default one. A simulated robot has none: a
