@@ -88,8 +88,8 @@ impl Estimator {
         Evidence {
             way_rad,
             lost_rad: norm_rad(lost_rad),
-            seen_rad: distance_rad(&obeyed, &rested),
-            unseen_rad: distance_rad(&obeyed_end, &rested_end),
+            seen_rad: obeyed.distance_rad(&rested),
+            unseen_rad: obeyed_end.distance_rad(&rested_end),
             share: way_share(&obeyed, &rested, measured),
             averaged_share: way_share(&obeyed, &rested, &averaged),
         }
@@ -122,7 +122,7 @@ impl Estimator {
     fn is_idle(&self) -> bool {
         let (most_rad, since_s) = IDLE;
         let motion = self.motors.remaining_motion(since_s);
-        distance_rad(&motion.start_from(self.motors()), self.motors()) < most_rad
+        motion.start_from(self.motors()).distance_rad(self.motors()) < most_rad
     }
 }
 
@@ -173,12 +173,6 @@ impl Evidence {
         let averaged = is_visible_averaged && SHOWN.contains(&self.averaged_share);
         alone || averaged && self.unseen_rad <= self.seen_rad
     }
-}
-
-/// Distance of two configurations in all bends \[rad\].
-pub(super) fn distance_rad(a: &Configuration, b: &Configuration) -> f64 {
-    let pairs = a.as_slice().iter().zip(b.as_slice());
-    pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
 fn norm_rad(bends_rad: &[f64]) -> f64 {

@@ -85,6 +85,12 @@ impl Configuration {
         Self::zeros(section_count)
     }
 
+    /// Distance to another configuration of as many sections, in all bends \[rad\].
+    pub fn distance_rad(&self, other: &Self) -> f64 {
+        let pairs = self.as_slice().iter().zip(other.as_slice());
+        pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+    }
+
     /// From components (rad), which must be zero beyond `section_count`, 1 to 6.
     pub(crate) fn padded(components: [f64; COORDINATES_MAX], section_count: usize) -> Self {
         debug_assert!((1..=SECTIONS_MAX).contains(&section_count));

@@ -62,10 +62,10 @@ impl Guided {
         let others: Vec<_> = starts(&robot, &here).iter().map(followed).collect();
         // The starts lie this far apart, and a way keeps of it what does not move the tip.
         let apart_rad = 2.0 * UNCERTAIN_RAD * (robot.section_count() as f64).sqrt();
-        let bent_rad = distance_rad(&here, &present.end).max(apart_rad);
+        let bent_rad = here.distance_rad(&present.end).max(apart_rad);
         let is_open = others
             .iter()
-            .any(|other| distance_rad(&present.end, &other.end) > bent_rad);
+            .any(|other| present.end.distance_rad(&other.end) > bent_rad);
         let mut arriving: Vec<_> = others
             .into_iter()
             .filter(|other| {
@@ -158,11 +158,6 @@ fn followed(
         followed.clearance_m = followed.clearance_m.min(clearance_m);
     }
     followed
-}
-
-fn distance_rad(one: &Configuration, other: &Configuration) -> f64 {
-    let pairs = one.as_slice().iter().zip(other.as_slice());
-    pairs.map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use core::ops::Range;
 use core::slice::from_ref;
 
 use super::*;
-use crate::estimator::rest::{UNSEEN_RAD, distance_rad};
+use crate::estimator::rest::UNSEEN_RAD;
 use RestCause::{GoesOn, Silence, Stated};
 
 const PERIOD_S: f64 = 0.005;
@@ -193,10 +193,10 @@ fn a_rest_that_is_lost_in_parts_is_lost_as_a_whole() {
     }
     estimator.rested(&robot(1), &measured, 0.0, &[RESTED_S], Silence);
     for part in parts {
-        assert!(distance_rad(part.motors(), estimator.motors()) < 1e-12);
+        assert!(part.motors().distance_rad(estimator.motors()) < 1e-12);
         let [one, other] = [&part, &estimator].map(|it| it.motors.remaining_motion(0.04));
         let [one, other] = [one, other].map(|motion| motion.end_from(&Configuration::straight(1)));
-        assert!(distance_rad(&one, &other) < 1e-12);
+        assert!(one.distance_rad(&other) < 1e-12);
     }
 }
 

@@ -164,7 +164,7 @@ fn from_home_the_same_point_is_reached_in_the_same_shape_whatever_the_noise() {
         let runs: Vec<_> = (1..=8).map(|seed| sent(seed, is_guided)).collect();
         let arrived = runs.iter().filter(|sent| sent.left_m < ALLOWED_M).count();
         let pairs = (0..runs.len()).flat_map(|one| (0..one).map(move |other| (one, other)));
-        let apart_rad = pairs.map(|(one, other)| distance_rad(&runs[one].end, &runs[other].end));
+        let apart_rad = pairs.map(|(one, other)| runs[one].end.distance_rad(&runs[other].end));
         let largest = |of: fn(&Sent) -> f64| runs.iter().map(of).fold(0.0, f64::max);
         let (off_m, speed_m_s) = (largest(|sent| sent.off_m), largest(|sent| sent.speed_m_s));
         (arrived, apart_rad.fold(0.0, f64::max), off_m, speed_m_s)
