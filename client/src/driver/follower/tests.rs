@@ -65,6 +65,13 @@ fn position(cycle: u64, u_rad: f64) -> Command {
     command(Interface::Position, cycle, u_rad, 0.0)
 }
 
+fn in_mode(mode: Mode, cycle: u64, u_rad: f64) -> Command {
+    Command {
+        mode: mode.code(),
+        ..position(cycle, u_rad)
+    }
+}
+
 // A driver restarted while the robot was stopped, beside its commanded position.
 #[test]
 fn a_first_position_that_is_not_where_the_robot_was_measured_is_refused() {

@@ -8,13 +8,6 @@ use super::*;
 const MEASURED_RAD: f64 = 0.54;
 const COMMANDED_RAD: f64 = 0.5;
 
-fn in_mode(mode: Mode, cycle: u64) -> Command {
-    Command {
-        mode: mode.code(),
-        ..position(cycle, COMMANDED_RAD)
-    }
-}
-
 /// A driver that measured its robot 0.04 rad beside the commanded position.
 fn started(kind: MeasurementKind) -> CommandFollower {
     let mut follower = CommandFollower::new(&robot(), Interface::Position);
@@ -37,10 +30,10 @@ fn motors_hold_until_the_reset_when_their_driver_starts_in_stopped_or_faulted() 
         for mode in [Mode::Stopped, Mode::Faulted] {
             let mut follower = started(kind);
             for cycle in 1..50 {
-                take(&mut follower, &in_mode(mode, cycle)).unwrap();
+                take(&mut follower, &in_mode(mode, cycle, COMMANDED_RAD)).unwrap();
                 assert_eq!(follower.position_at(cycle * PERIOD_NS + PERIOD_NS), None);
             }
-            take(&mut follower, &in_mode(Mode::Holding, 50)).unwrap();
+            take(&mut follower, &in_mode(Mode::Holding, 50, COMMANDED_RAD)).unwrap();
             assert!(follower.position_at(51 * PERIOD_NS).is_some());
         }
     }

@@ -11,13 +11,6 @@ fn moved_rad(cycle: u64, last: u64) -> f64 {
     0.2 + STEP_RAD * (cycle.min(last) - 10) as f64
 }
 
-fn in_mode(mode: Mode, cycle: u64, u_rad: f64) -> Command {
-    Command {
-        mode: mode.code(),
-        ..position(cycle, u_rad)
-    }
-}
-
 /// A follower without the limit of the cable speed, after cycles 10 to 20 of the motion.
 fn moving() -> CommandFollower {
     let mut follower = CommandFollower::new(&robot(), Interface::Position);

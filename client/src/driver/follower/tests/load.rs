@@ -8,13 +8,6 @@ const MOTORS_RAD: f64 = 0.8;
 /// Cycle of the reset.
 const RESET: u64 = 1000;
 
-fn in_mode(mode: Mode, cycle: u64, u_rad: f64) -> Command {
-    Command {
-        mode: mode.code(),
-        ..position(cycle, u_rad)
-    }
-}
-
 /// A measurement in the middle of cycle `cycle` of a robot bent by `u_rad`.
 fn measured(kind: MeasurementKind, cycle: u64, u_rad: f64) -> Measurement {
     let position = position(cycle, u_rad);
