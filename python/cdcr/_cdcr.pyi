@@ -735,7 +735,7 @@ def read(path: str | PathLike[str], *, every: int = 1) -> dict[str, Records]:
     Telemetry, ReferenceChunk, ObstacleUpdate, Status and Incident; one for each that the file holds.
 
     path: an MCAP file. every: keep each so many-th record of telemetry. A record of telemetry has 15.6 kB: an hour at 5 ms are 11 GB, so `every` is for long files.
-    A file that is cut gives what is whole, and a warning. Raises RecordingError for a file that is none, is damaged, or has messages of another version or of
+    A file that is cut gives what is whole, and a warning. Raises RecordingError for a file that is none, has no message, is damaged, or has messages of another version or of
     more than one robot.
     """
 

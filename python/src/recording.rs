@@ -15,11 +15,14 @@ use crate::numbers::count;
 use crate::wire::Records;
 use crate::worker::SIGNALS_EACH;
 
+/// What to do with a path that leads to none.
+const OF_CDCRCTL: &str = "Give the path of a recording, which cdcrctl record writes.";
+
 /// Reads a recording of cdcrctl: a dictionary of structured arrays, "telemetry", "reference", "obstacles", "status" and "incidents", with the fields of the messages
 /// Telemetry, ReferenceChunk, ObstacleUpdate, Status and Incident; one for each that the file holds.
 ///
 /// path: an MCAP file. every: keep each so many-th record of telemetry. A record of telemetry has 15.6 kB: an hour at 5 ms are 11 GB, so `every` is for long files.
-/// A file that is cut gives what is whole, and a warning. Raises RecordingError for a file that is none, is damaged, or has messages of another version or of
+/// A file that is cut gives what is whole, and a warning. Raises RecordingError for a file that is none, has no message, is damaged, or has messages of another version or of
 /// more than one robot.
 #[pyfunction]
 #[pyo3(signature = (path, *, every = 1) -> "dict[str, Records]")]
@@ -36,8 +39,12 @@ pub(crate) fn read(py: Python<'_>, path: PathBuf, every: i128) -> PyResult<Bound
             found.set_item(topic.service().key(), records)?;
         }
     }
+    let name = path.display();
+    if found.is_empty() {
+        let message = format!("{name} contains no message of cdcrd");
+        return Err(Failure::new(Class::Recording, message, OF_CDCRCTL).into());
+    }
     if recording.is_cut {
-        let name = path.display();
         let text = format!(
             "{name} is truncated: only complete messages were read; recover them with `cdcrctl info --repair {name}`"
         );
@@ -61,8 +68,7 @@ impl Recording {
     fn open(path: &Path, every: usize) -> Result<Self, Failure> {
         let name = path.display().to_string();
         let file = File::open(path).map_err(|error| {
-            let remedy = "Give the path of a recording, which cdcrctl record writes.";
-            Failure::new(Class::Recording, format!("{name}: {error}"), remedy)
+            Failure::new(Class::Recording, format!("{name}: {error}"), OF_CDCRCTL)
         })?;
         let reader = Reader::new(BufReader::with_capacity(1 << 17, file));
         Ok(Self {

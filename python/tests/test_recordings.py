@@ -107,7 +107,7 @@ def test_a_path_leads_from_the_shapes_to_the_tip_that_was_measured_beside_them(r
 def test_what_is_no_recording_is_refused_and_a_cut_one_gives_what_is_whole(recording: Path, tmp_path: Path) -> None:
     whole = recording.read_bytes()
     file = tmp_path / "some.mcap"
-    for content, words in [(b"", "empty"), (b"PK\x03\x04 something else", "not an MCAP"), (whole[:-9000][:5000] + bytes(4000) + whole[9000:], "LZ4|damaged|cut")]:
+    for content, words in [(b"", "empty"), (b"PK\x03\x04 something else", "not an MCAP"), (whole[:600], "contains no message of cdcrd"), (whole[:-9000][:5000] + bytes(4000) + whole[9000:], "LZ4|damaged|cut")]:
         file.write_bytes(content)
         with pytest.raises(cdcr.RecordingError, match=words) as refused:
             cdcr.read(file)

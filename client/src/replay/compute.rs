@@ -6,9 +6,9 @@ use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot};
 use cdcr_controller::safety::{
     Lag, SafeCommand, Situation, homing_rates, ramp_to_zero, safe_command,
 };
-use cdcr_shared_types::codes::{Interface, Mode, SolverStatus, guard};
+use cdcr_shared_types::codes::{Interface, Mode, ReferenceState, SolverStatus, guard};
 use cdcr_shared_types::model::guard_flags;
-use cdcr_shared_types::{SolverSettings, Telemetry};
+use cdcr_shared_types::{RobotDescription, SolverSettings, Telemetry};
 use nalgebra::Vector3;
 
 use super::check::Check;
@@ -49,6 +49,8 @@ pub(super) struct Computer {
     robot: Robot,
     nmpc: Nmpc,
     period_ns: u64,
+    /// The robot of the first record.
+    description: RobotDescription,
 }
 
 /// Robot state of a record in the controller's types.
@@ -118,6 +120,7 @@ impl Computer {
             nmpc: Nmpc::new(robot.clone(), period_s, settings)?,
             robot,
             period_ns: record.period_ns,
+            description: record.robot,
         })
     }
 
@@ -133,8 +136,12 @@ impl Computer {
             record.robot.fingerprint,
             self.robot.fingerprint(),
         );
+        if record.robot != self.description {
+            check.same("robot", "another than before", "that of the first record");
+        }
         check.same("period_ns", record.period_ns, self.period_ns);
         let state = State::from_record(record, &self.robot).ok_or(ReplayError::Shape)?;
+        self.check_tip(record, &state, &mut check);
         let solved = record.plan_length > 0;
         let is_homing = record.mode == Mode::Homing.code();
         let home_from = if is_homing { Some(state.at) } else { state.way };
@@ -156,6 +163,19 @@ impl Computer {
             }),
             Outcome::Different,
         ))
+    }
+
+    /// Place and error of the tip, which nothing else depends on.
+    fn check_tip(&self, record: &Telemetry, state: &State, check: &mut Check) {
+        let tip_m = self.robot.tip_position(&state.present) + state.tip_offset_m;
+        check.numbers("tip_position_m", &record.tip_position_m, tip_m.as_slice());
+        let reference_m = if record.reference.state == ReferenceState::None.code() {
+            Vector3::repeat(f64::NAN)
+        } else {
+            record.reference.position_m.into()
+        };
+        let error_m = (tip_m - reference_m).norm();
+        check.number("position_error_m", record.position_error_m, error_m);
     }
 
     /// Solves with the inputs of a record and returns the desired rates.
@@ -184,6 +204,11 @@ impl Computer {
             "report.evaluations",
             record.report.evaluations,
             report.evaluations,
+        );
+        check.same(
+            "report.iterations",
+            record.report.iterations,
+            report.iterations,
         );
         check.number("report.cost", record.report.cost, report.cost);
         check.numbers("plan", &record.plan[..length], self.nmpc.plan());

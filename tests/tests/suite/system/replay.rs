@@ -180,6 +180,16 @@ fn a_bit_that_is_wrong_is_found_and_a_missing_record_makes_no_other_wrong() {
             |record| record.command.bend_rate_rad_s[0] += 1e-12,
             "command.bend_rate_rad_s[0]",
         ),
+        (
+            |record| record.tip_position_m[2] += f64::EPSILON,
+            "tip_position_m[2]",
+        ),
+        (|record| record.position_error_m *= 2.0, "position_error_m"),
+        (|record| record.report.iterations += 1, "report.iterations"),
+        (
+            |record| record.robot.section[1].cable_radius_m *= 0.9,
+            "robot",
+        ),
         (|record| record.mode = Mode::Homing.code(), "mode"),
         (|record| record.lease_number += 1, "mode"),
     ] {
