@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x35e3ded73773bb5a)
+#define CDCR_LAYOUT UINT64_C(0xc1656a7c961503d5)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -497,7 +497,7 @@ typedef struct CdcrCommand {
 } CdcrCommand;
 CDCR_ASSERT_SIZE(CdcrCommand, 560);
 
-/* cdcr.SolverSettings.v1, 168 bytes. */
+/* cdcr.SolverSettings.v2, 176 bytes. */
 typedef struct CdcrSolverSettings {
     /* 0: CdcrSolverKind. */
     uint32_t solver;
@@ -537,24 +537,26 @@ typedef struct CdcrSolverSettings {
     double rate_weight;
     /* 104: s²/rad². Weight of the squared changes of rates, per (rad/s)². */
     double rate_change_weight;
-    /* 112: Factor on the error cost of the last step. */
+    /* 112: Gain by which bends that the tip does not need return towards straight while it travels. */
+    double posture_gain;
+    /* 120: Factor on the error cost of the last step. */
     double terminal_weight;
-    /* 120: Safe distance between body and obstacles [m]. */
+    /* 128: Safe distance between body and obstacles [m]. */
     double safe_distance_m;
-    /* 128: Penalty in the solver's cost for each step inside the safe distance. */
+    /* 136: Penalty in the solver's cost for each step inside the safe distance. */
     double obstacle_step_penalty;
-    /* 136: 1/m. Penalty in the solver's cost per m of depth inside the safe distance. */
+    /* 144: 1/m. Penalty in the solver's cost per m of depth inside the safe distance. */
     double obstacle_slope_penalty;
-    /* 144: 1/m². Penalty in the solver's cost per m² of squared depth inside the safe distance. */
+    /* 152: 1/m². Penalty in the solver's cost per m² of squared depth inside the safe distance. */
     double obstacle_square_penalty;
-    /* 152: Time that a solve may take [ns]; 0: what is left of the period less the margin. */
+    /* 160: Time that a solve may take [ns]; 0: what is left of the period less the margin. */
     uint64_t budget_ns;
-    /* 160: Seed of the swarm. */
+    /* 168: Seed of the swarm. */
     uint64_t seed;
 } CdcrSolverSettings;
-CDCR_ASSERT_SIZE(CdcrSolverSettings, 168);
+CDCR_ASSERT_SIZE(CdcrSolverSettings, 176);
 
-/* cdcr.Request.v2, 200 bytes. */
+/* cdcr.Request.v3, 208 bytes. */
 typedef struct CdcrRequest {
     /* 0: Sender, sequence, time. The sender's identity is what a lease is bound to. */
     CdcrHeader header;
@@ -566,7 +568,7 @@ typedef struct CdcrRequest {
     /* 32: Read by a settings request only. */
     CdcrSolverSettings settings;
 } CdcrRequest;
-CDCR_ASSERT_SIZE(CdcrRequest, 200);
+CDCR_ASSERT_SIZE(CdcrRequest, 208);
 
 /* cdcr.Response.v2, 80 bytes. */
 typedef struct CdcrResponse {
@@ -703,7 +705,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v16, 2312 bytes. */
+/* cdcr.Status.v17, 2320 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -776,63 +778,63 @@ typedef struct CdcrStatus {
     CdcrRobotDescription robot;
     /* 1776: The solver's settings. */
     CdcrSolverSettings settings;
-    /* 1944: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
+    /* 1952: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
      * the configuration sets no cycle.miss_limit. */
     uint64_t misses_tolerated;
-    /* 1952: Position of the tip in the newest cycle [m], as in Telemetry. */
+    /* 1960: Position of the tip in the newest cycle [m], as in Telemetry. */
     double tip_position_m[3];
-    /* 1976: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
+    /* 1984: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
     double position_error_m;
-    /* 1984: Position of the reference in the newest cycle [m]; NaN without one. */
+    /* 1992: Position of the reference in the newest cycle [m]; NaN without one. */
     double reference_position_m[3];
-    /* 2008: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
+    /* 2016: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
      * what the model is off by. NaN without a reference or such a sensor. */
     double measured_error_m;
-    /* 2016: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
+    /* 2024: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
     double following_error_rad[6];
-    /* 2064: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
+    /* 2072: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
     double following_error_m[18];
-    /* 2208: Cycles in which the following error was above the warning. */
+    /* 2216: Cycles in which the following error was above the warning. */
     uint64_t following_warnings;
-    /* 2216: CdcrInterface. */
+    /* 2224: CdcrInterface. */
     uint32_t interface;
-    /* 2220: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
+    /* 2228: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
      * not. */
     uint32_t reset_refused_by;
-    /* 2224: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
+    /* 2232: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
     double safe_distance_min_m;
-    /* 2232: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
+    /* 2240: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
      * watched. */
     uint64_t obstacle_source_timeout_ns;
-    /* 2240: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
+    /* 2248: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
      * 0: none is silent. */
     uint64_t silent_obstacle_source;
-    /* 2248: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
+    /* 2256: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
      * the daemon stood still. */
     uint64_t silent_since_ns;
-    /* 2256: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
+    /* 2264: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
     double rate_weight_auto;
-    /* 2264: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
+    /* 2272: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
     uint64_t tip_measured_ns;
-    /* 2272: Measurements of the tip that were refused since the start, for whatever reason. */
+    /* 2280: Measurements of the tip that were refused since the start, for whatever reason. */
     uint64_t tips_refused;
-    /* 2280: Distance of the measured tip from where the newest refused first bends placed it [m], in whole
+    /* 2288: Distance of the measured tip from where the newest refused first bends placed it [m], in whole
      * millimetres; after them, from where the measured bends place it, where it is so far that a reset is refused;
      * 0: nothing is refused for it. */
     double tip_contradiction_m;
-    /* 2288: CdcrOutcome. Outcome of the newest of them; accepted: none was refused since a tip was accepted. */
+    /* 2296: CdcrOutcome. Outcome of the newest of them; accepted: none was refused since a tip was accepted. */
     uint32_t tip_refused_by;
-    /* 2292: 1: yes, 0: no. A tip sensor beside the driver is configured (link.tip_sensor). */
+    /* 2300: 1: yes, 0: no. A tip sensor beside the driver is configured (link.tip_sensor). */
     uint32_t has_tip_sensor;
-    /* 2296: A clearance below this is a fault [m] (safety.clearance_fault_m). */
+    /* 2304: A clearance below this is a fault [m] (safety.clearance_fault_m). */
     double clearance_fault_m;
-    /* 2304: CdcrTipCause why the newest tip measured beside bends or cables is not used, as in Telemetry. */
+    /* 2312: CdcrTipCause why the newest tip measured beside bends or cables is not used, as in Telemetry. */
     uint32_t tip_cause;
-    /* 2308: 1: yes, 0: no. The driver has measured only the tip: also a tip sensor beside it for which
+    /* 2316: 1: yes, 0: no. The driver has measured only the tip: also a tip sensor beside it for which
      * link.tip_sensor is not set. */
     uint32_t driver_measures_tip_only;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2312);
+CDCR_ASSERT_SIZE(CdcrStatus, 2320);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {
@@ -940,7 +942,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v13, 15616 bytes. */
+/* cdcr.Telemetry.v14, 15624 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -999,151 +1001,151 @@ typedef struct CdcrTelemetry {
     double previous_rate_rad_s[12];
     /* 1704: The solver's settings in this cycle. */
     CdcrSolverSettings settings;
-    /* 1872: The robot of the daemon's configuration. */
+    /* 1880: The robot of the daemon's configuration. */
     CdcrRobotDescription robot;
-    /* 2200: First cycle of the reference window: the samples reach from its release past the horizon, by up to 60
+    /* 2208: First cycle of the reference window: the samples reach from its release past the horizon, by up to 60
      * periods (60 at 5 ms). */
     uint64_t window_first_cycle;
-    /* 2208: How fast rates shrink when holding or stopping [rad/s²]. */
+    /* 2216: How fast rates shrink when holding or stopping [rad/s²]. */
     double deceleration_rad_s2;
-    /* 2216: Rate of the fastest component on the way home [rad/s]. */
+    /* 2224: Rate of the fastest component on the way home [rad/s]. */
     double home_rate_rad_s;
-    /* 2224: Deadline after the release [ns]. */
+    /* 2232: Deadline after the release [ns]. */
     uint64_t deadline_ns;
-    /* 2232: A start later than this after the release it was due at is a late start [ns]. */
+    /* 2240: A start later than this after the release it was due at is a late start [ns]. */
     uint64_t late_start_ns;
-    /* 2240: A measurement older than this is lost [ns]. */
+    /* 2248: A measurement older than this is lost [ns]. */
     uint64_t measurement_timeout_ns;
-    /* 2248: A clearance below this is a fault [m]. */
+    /* 2256: A clearance below this is a fault [m]. */
     double clearance_fault_m;
-    /* 2256: How far a measurement may jump [rad]. */
+    /* 2264: How far a measurement may jump [rad]. */
     double measurement_jump_rad;
-    /* 2264: How far the robot may be commanded while the measurement stands still [rad]. */
+    /* 2272: How far the robot may be commanded while the measurement stands still [rad]. */
     double measurement_frozen_rad;
-    /* 2272: So many jumps in a row are a fault. */
+    /* 2280: So many jumps in a row are a fault. */
     uint32_t measurement_jump_limit;
-    /* 2276: CdcrMeasurementState. */
+    /* 2284: CdcrMeasurementState. */
     uint32_t measurement_state;
-    /* 2280: Level at which the leaky bucket stops the robot; 0: it does not. */
+    /* 2288: Level at which the leaky bucket stops the robot; 0: it does not. */
     uint32_t miss_limit;
-    /* 2284: CdcrLeaseState. */
+    /* 2292: CdcrLeaseState. */
     uint32_t lease_state;
-    /* 2288: Scalars of warm_plan and plan that are used; 0: the solver did not run. */
+    /* 2296: Scalars of warm_plan and plan that are used; 0: the solver did not run. */
     uint32_t plan_length;
-    /* 2292: Obstacles of this cycle, 0 ..= OBSTACLES_MAX. */
+    /* 2300: Obstacles of this cycle, 0 ..= OBSTACLES_MAX. */
     uint32_t obstacle_count;
-    /* 2296: used: 1 * obstacle_count. The obstacles as used, in this order, where they are at the release (plan and
+    /* 2304: used: 1 * obstacle_count. The obstacles as used, in this order, where they are at the release (plan and
      * guard look at them reference_lead_ns later): measured_ns is the release, lifetime_ns what is left of their
      * lifetime then, 0: until removed. The first obstacle_count are used. */
     CdcrObstacle obstacles[64];
-    /* 8952: used: 1 * plan_length. The plan that the solver started from [rad/s], block by block. */
+    /* 8960: used: 1 * plan_length. The plan that the solver started from [rad/s], block by block. */
     double warm_plan[300];
-    /* 11352: used: 1 * plan_length. The solution [rad/s], block by block. */
+    /* 11360: used: 1 * plan_length. The solution [rad/s], block by block. */
     double plan[300];
-    /* 13752: What the solver did. */
+    /* 13760: What the solver did. */
     CdcrSolverReport report;
-    /* 13824: Reference at the release. */
+    /* 13832: Reference at the release. */
     CdcrReferenceSample reference;
-    /* 13888: The way to it that the plan follows. */
+    /* 13896: The way to it that the plan follows. */
     CdcrApproach approach;
-    /* 13984: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by what the motors are
+    /* 13992: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by what the motors are
      * behind their commands. */
     double present_rad[12];
-    /* 14080: The tip as it was measured beside bends or cables [m]; zero when it was not. */
+    /* 14088: The tip as it was measured beside bends or cables [m]; zero when it was not. */
     double tip_measured_m[3];
-    /* 14104: When the tip of tip_measured_m was measured [ns, CLOCK_MONOTONIC]. */
+    /* 14112: When the tip of tip_measured_m was measured [ns, CLOCK_MONOTONIC]. */
     uint64_t tip_measured_ns;
-    /* 14112: How far the tip is measured beside where the bends place it, smoothed [m]. The plan's reference is
+    /* 14120: How far the tip is measured beside where the bends place it, smoothed [m]. The plan's reference is
      * moved back by it. */
     double tip_offset_m[3];
-    /* 14136: How far the tip may be beside where the bends place it [m]: the length of tip_offset_m, and three
+    /* 14144: How far the tip may be beside where the bends place it [m]: the length of tip_offset_m, and three
      * standard deviations of what the measurements leave open of it. So much thicker the body counts for plan and
      * guard. */
     double tip_margin_m;
-    /* 14144: Tip position at the release, from present_rad and tip_offset_m [m]. */
+    /* 14152: Tip position at the release, from present_rad and tip_offset_m [m]. */
     double tip_position_m[3];
-    /* 14168: Tip orientation at the release, unit quaternion (x, y, z, w). */
+    /* 14176: Tip orientation at the release, unit quaternion (x, y, z, w). */
     double tip_orientation[4];
-    /* 14200: Distance of tip and reference at the release [m]; NaN without a reference. */
+    /* 14208: Distance of tip and reference at the release [m]; NaN without a reference. */
     double position_error_m;
-    /* 14208: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
+    /* 14216: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
     uint32_t guard_flags;
-    /* 14212: CdcrMeasurementState: what became of tip_measured_m. */
+    /* 14220: CdcrMeasurementState: what became of tip_measured_m. */
     uint32_t tip_state;
-    /* 14216: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
+    /* 14224: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
      * obstacles [m]: negative inside one, infinite without obstacles, NaN when present_rad is not finite. The body
      * counts as thicker by tip_margin_m. */
     double clearance_m;
-    /* 14224: The command as it left. */
+    /* 14232: The command as it left. */
     CdcrCommand command;
-    /* 14784: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
+    /* 14792: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
      * period later. */
     double commanded_rad[12];
-    /* 14880: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
+    /* 14888: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
      * from every commanded one of the last following_lag_ns, so that a lag of the motors up to that is no error.
      * Zero while only the tip is measured. */
     double following_error_rad[6];
-    /* 14928: used: 3 * command.sections. The same of each cable [m]. Where positions are obeyed and lengths
+    /* 14936: used: 3 * command.sections. The same of each cable [m]. Where positions are obeyed and lengths
      * measured, with the difference of the section's mean length from the commanded one, which is no error of a
      * bend. */
     double following_error_m[18];
-    /* 15072: A following error above this is a warning [rad]. */
+    /* 15080: A following error above this is a warning [rad]. */
     double following_warning_rad;
-    /* 15080: A following error above this is a fault [rad]. */
+    /* 15088: A following error above this is a fault [rad]. */
     double following_fault_rad;
-    /* 15088: How far the motors may lag behind [ns]. */
+    /* 15096: How far the motors may lag behind [ns]. */
     uint64_t following_lag_ns;
-    /* 15096: Largest acceleration of a component [rad/s²]; infinite: no limit. */
+    /* 15104: Largest acceleration of a component [rad/s²]; infinite: no limit. */
     double acceleration_rad_s2;
-    /* 15104: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
+    /* 15112: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
      * together. */
     uint64_t reference_lead_ns;
-    /* 15112: Time constant of the motors [ns]: reference_lead_ns less their delay. */
+    /* 15120: Time constant of the motors [ns]: reference_lead_ns less their delay. */
     uint64_t motor_time_constant_ns;
-    /* 15120: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
+    /* 15128: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
      * command begins to act. */
     double delayed_rad[12];
-    /* 15216: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
+    /* 15224: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
      * beside that by the play of the cables. */
     double motor_rad[12];
-    /* 15312: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
+    /* 15320: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
     double slack_m[18];
-    /* 15456: Play of the cables [m]; 0: none. */
+    /* 15464: Play of the cables [m]; 0: none. */
     double play_m;
-    /* 15464: used: 2 * command.sections. Commanded position minus the place of the robot where control begins after
+    /* 15472: used: 2 * command.sections. Commanded position minus the place of the robot where control begins after
      * a reset [rad], while moves_to_begin is set: the rates wanted are those of homing from there. */
     double way_rad[12];
-    /* 15560: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
+    /* 15568: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
     double approach_distance_m;
-    /* 15568: Largest speed of a tip that is behind its reference and returns to it, in the newest cycle that solved
+    /* 15576: Largest speed of a tip that is behind its reference and returns to it, in the newest cycle that solved
      * [m/s]; infinite: no limit. */
     double pace_m_s;
-    /* 15576: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
+    /* 15584: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
      * fault then. */
     uint32_t control_begins;
-    /* 15580: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
+    /* 15588: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
     uint32_t moves_to_begin;
-    /* 15584: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
+    /* 15592: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
      * rest, the solve from previous_rate_rad_s. */
     uint32_t ran_out_in_solve;
-    /* 15588: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
+    /* 15596: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;
-    /* 15592: 1: yes, 0: no. 1 where a reset has to accept the pose: a section is measured more than 0.2 rad from
+    /* 15600: 1: yes, 0: no. 1 where a reset has to accept the pose: a section is measured more than 0.2 rad from
      * where the last command left it, or the daemon before this one ended in such a pose. */
     uint32_t pose_differs;
-    /* 15596: 1: yes, 0: no. 1 where the newest measurement was rejected as a jump: a reset is refused then. */
+    /* 15604: 1: yes, 0: no. 1 where the newest measurement was rejected as a jump: a reset is refused then. */
     uint32_t measurement_rejected;
-    /* 15600: 1: yes, 0: no. 1 where the reference at the release is too far from the tip to be tracked. */
+    /* 15608: 1: yes, 0: no. 1 where the reference at the release is too far from the tip to be tracked. */
     uint32_t reference_too_far;
-    /* 15604: CdcrTipCause: why the newest tip_measured_m was not used, also in the cycles until the next one. */
+    /* 15612: CdcrTipCause: why the newest tip_measured_m was not used, also in the cycles until the next one. */
     uint32_t tip_cause;
-    /* 15608: Distance of the measured tip from where the measured bends place it [m], where it is so far that a
+    /* 15616: Distance of the measured tip from where the measured bends place it [m], where it is so far that a
      * reset is refused (the reason TipElsewhere); 0: it is not. */
     double tip_contradiction_m;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 15616);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 15624);
 
-/* cdcr.Incident.v12, 15656 bytes. */
+/* cdcr.Incident.v13, 15664 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1157,6 +1159,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 15656);
+CDCR_ASSERT_SIZE(CdcrIncident, 15664);
 
 #endif

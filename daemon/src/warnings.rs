@@ -1,8 +1,8 @@
 //! Valid configurations that are probably unintended.
 
 use cdcr_controller::nmpc::{
-    RateWeight, budget_warning, rate_change_weight_warning, rate_weight_warning,
-    safe_distance_warning,
+    RateWeight, budget_warning, posture_gain_warning, rate_change_weight_warning,
+    rate_weight_warning, safe_distance_warning,
 };
 use cdcr_controller::robot::SectionParameters;
 
@@ -69,7 +69,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
             "link.tip_sensor = \"separate\" has no effect: the simulated robot accepts no measurements";
     }
     all.extend(of_rate_weight(config));
-    all.extend(of_rate_change_weight(config));
+    all.extend(of_weights_beside_the_rates(config));
     home_speed(config, &mut all);
     source_timeout(config, &mut all);
     warn_where! { all:
@@ -282,18 +282,25 @@ fn of_rate_weight(config: &Config) -> Option<String> {
     ))
 }
 
-fn of_rate_change_weight(config: &Config) -> Option<String> {
-    let rate_weight = match config.controller.rate_weight {
+fn of_weights_beside_the_rates(config: &Config) -> impl Iterator<Item = String> {
+    let controller = &config.controller;
+    let rate_weight = match controller.rate_weight {
         RateWeight::Auto => RateWeight::auto(config.link.is_ideal()),
         weight @ RateWeight::Of(_) => weight,
     };
-    let warning = rate_change_weight_warning(
+    let change = rate_change_weight_warning(
         rate_weight.into(),
-        config.controller.rate_change_weight,
+        controller.rate_change_weight,
         1e-3 * config.cycle.period_ms,
         config.robot.sections.len(),
-    )?;
-    Some(format!("controller.{warning}"))
+    );
+    let posture = posture_gain_warning(
+        controller.posture_gain,
+        rate_weight.into(),
+        controller.horizon_steps,
+    );
+    let warnings = [change, posture].into_iter().flatten();
+    warnings.map(|warning| format!("controller.{warning}"))
 }
 
 /// A probably unintended timeout of the obstacle sources.

@@ -5,7 +5,7 @@ message! {
     /// A request to the daemon. It is lost with a killed daemon, unless its client still waits for an answer and sends
     /// it to the next daemon, as the client library does. Except for a stop, the daemon rejects a request that was sent
     /// more than 1 s before ([`Outcome::Stale`](crate::codes::Outcome::Stale)).
-    pub struct Request "cdcr.Request.v2" {
+    pub struct Request "cdcr.Request.v3" {
         /// Sender, sequence, time. The sender's identity is what a lease is bound to.
         header: Header,
         /// [`codes::RequestKind`](crate::codes::RequestKind).

@@ -6,7 +6,7 @@ message! {
     /// They travel in a settings request, in the status, and in every telemetry record, so that a record is complete.
     /// Meaning and range of each are those of the key of the same name in `configs/default.toml`; a request outside the ranges
     /// is rejected.
-    pub struct SolverSettings "cdcr.SolverSettings.v1" {
+    pub struct SolverSettings "cdcr.SolverSettings.v2" {
         /// [`codes::SolverKind`](crate::codes::SolverKind).
         solver: u32 [code SolverKind],
         /// [`codes::Coordinates`](crate::codes::Coordinates) of the controls.
@@ -45,6 +45,8 @@ message! {
         rate_weight: f64 [unit "s²/rad²"],
         /// Weight of the squared changes of rates, per (rad/s)².
         rate_change_weight: f64 [unit "s²/rad²"],
+        /// Gain by which bends that the tip does not need return towards straight while it travels.
+        posture_gain: f64,
         /// Factor on the error cost of the last step.
         terminal_weight: f64,
         /// Safe distance between body and obstacles \[m\].
@@ -75,7 +77,7 @@ macro_rules! solver_settings {
             }
             horizon_steps, control_blocks, swarm_size, swarm_iterations, regenerate_after, inertia, cognitive,
             social, refinement_steps, damping, position_weight, orientation_weight, orientation_tolerance_rad,
-            rate_weight, rate_change_weight, terminal_weight, safe_distance_m, obstacle_step_penalty,
+            rate_weight, rate_change_weight, posture_gain, terminal_weight, safe_distance_m, obstacle_step_penalty,
             obstacle_slope_penalty, obstacle_square_penalty, seed,
         }
     };

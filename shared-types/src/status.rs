@@ -108,7 +108,7 @@ message! {
     }
 
     /// The latest snapshot of the daemon for late joiners, published ten times a second.
-    pub struct Status "cdcr.Status.v16" {
+    pub struct Status "cdcr.Status.v17" {
         /// The daemon, sequence, time.
         header: Header,
         /// Name of the robot, as in the service names.

@@ -7,7 +7,7 @@
 //! The cost (Eq. 5) is a sum over the steps:
 //! - the weighted squared error of the tip's position, with an extra weight ω on the last step;
 //! - where the reference contains an orientation, the same for the orientation error beyond a tolerance; less for a preferred axis;
-//! - optional weights on the controls and on their change;
+//! - optional weights on the controls, as their distance from those of the posture, and on their change;
 //! - penalties on clearances below the safe distance, and on bends, cable strokes and cable speeds beyond
 //!   their limits.
 //!
@@ -17,6 +17,7 @@
 //! | `horizon` | map from steps to blocks |
 //! | `motion` | dynamics: bends over the horizon as a function of the controls (Eq. 4) |
 //! | `pose_error`, `obstacles`, `limits` | cost of one step (Eq. 5) |
+//! | `posture` | rates that return the body towards straight |
 //! | `problem` | cost of a plan and its linear model |
 //! | `pace` | reference of a robot that is behind it, as far as it can follow |
 //! | `knowledge`, `escape` | candidates known before the search |
@@ -38,6 +39,7 @@ mod motion;
 mod obstacles;
 mod pace;
 mod pose_error;
+mod posture;
 mod problem;
 mod reachable;
 mod report;
@@ -52,7 +54,8 @@ pub use pose_error::PREFERRED_LEVER_SHARE;
 pub use report::{Constraint, SolveReport, SolveStatus};
 pub use settings::{Coordinates, NmpcSettings, RateWeight, SettingsError, SolverKind, ranges};
 pub use unintended::{
-    budget_warning, rate_change_weight_warning, rate_weight_warning, safe_distance_warning,
+    budget_warning, posture_gain_warning, rate_change_weight_warning, rate_weight_warning,
+    safe_distance_warning,
 };
 
 use crate::optimizer::{Budget, Simd};

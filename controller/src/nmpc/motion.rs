@@ -89,6 +89,11 @@ impl<'a> Motion<'a> {
         Configuration::padded(self.start_rad, self.width / 2)
     }
 
+    /// The bends at the start \[rad\].
+    pub(super) fn start_rad(&self) -> [f64; COORDINATES_MAX] {
+        self.start_rad
+    }
+
     /// The configuration of a rollout.
     pub(super) fn shape(&self, bends: &Bent) -> Configuration {
         Configuration::padded(bends.scalar(), self.width / 2)

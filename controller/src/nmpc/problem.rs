@@ -8,6 +8,7 @@ use super::limits::{LIMITS, LimitRow, PlanLimits};
 use super::motion::{ANGLES, Bent, Motion, VECTORS};
 use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, ResidualRow};
+use super::posture::posture_controls;
 use super::{Coordinates, NmpcSettings};
 use crate::optimizer::{
     Bounds, Budget, Evaluation, Incumbent, LinearModel, Problem, Reach, RowStage, Stages, WIDTH_MAX,
@@ -22,6 +23,8 @@ pub(super) struct TrackingProblem<'a> {
     pub motion: &'a Motion<'a>,
     /// Controls equivalent to the last command.
     pub previous: [f64; COORDINATES_MAX],
+    /// Controls of each block from which the rates are weighted.
+    posture: [f64; COORDINATES_MAX],
     settings: &'a NmpcSettings,
     limits: &'a PlanLimits<'a>,
     obstacles: &'a Obstacles,
@@ -63,6 +66,7 @@ impl<'a> TrackingProblem<'a> {
             robot,
             motion,
             previous,
+            posture: posture_controls(robot, settings, motion, reference),
             settings,
             limits,
             obstacles,
@@ -168,7 +172,7 @@ impl<'a> TrackingProblem<'a> {
         } = *self.settings;
         let rate_weight = f64::from(rate_weight);
         if rate_weight > 0.0 {
-            model.weight_unknowns(rate_weight, z);
+            model.weight_unknowns(rate_weight, &self.posture[..self.width()], z);
         }
         if rate_change_weight > 0.0 {
             let scale = rate_change_weight.sqrt();

@@ -103,6 +103,10 @@ crate::parameters! {
         rate_weight: RateWeight = RateWeight::Auto, in ranges::WEIGHT, usual 0.0..=0.01;
         /// Weight of the squared changes of rates, per (rad/s)², {range}.
         rate_change_weight: f64 = 0.0, in ranges::WEIGHT, usual 0.0..=0.01;
+        /// Gain by which bends that the tip does not need return towards straight while it travels, {range}: by the factor exp(-gain) where the
+        /// reference travels the length of the robot. 0: they drift, and on a repeated path the body does not repeat its motion
+        /// (docs/tuning.md). Without a weight of the rates, or with a horizon of one step, it has no effect.
+        posture_gain: f64 = 0.0, in ranges::POSTURE_GAIN;
         /// Factor on the error cost of the last step, {range}.
         terminal_weight: f64 = 1.0, in ranges::WEIGHT, usual 0.0..=1e4, "above 0 where controller.horizon_steps is 1";
         /// Safe distance between body and obstacles, {range}: the clearance guard lets no command bring the body nearer. A
@@ -256,6 +260,8 @@ pub mod ranges {
     pub const DAMPING: RangeInclusive<f64> = 1e-20..=1.0;
     /// Weights and penalties in the cost.
     pub const WEIGHT: RangeInclusive<f64> = 0.0..=1e12;
+    /// Gain of the posture, per length of the robot.
+    pub const POSTURE_GAIN: RangeInclusive<f64> = 0.0..=10.0;
     /// Orientation error that costs nothing \[rad\].
     pub const ORIENTATION_TOLERANCE_RAD: RangeInclusive<f64> = 0.0..=1.0;
     /// Distance kept from obstacles \[m\].

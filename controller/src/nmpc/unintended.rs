@@ -54,6 +54,24 @@ pub fn rate_change_weight_warning(
     })
 }
 
+/// Warning about a gain of the posture without effect.
+pub fn posture_gain_warning(
+    posture_gain: f64,
+    rate_weight: f64,
+    horizon_steps: u32,
+) -> Option<String> {
+    let missing = if rate_weight == 0.0 {
+        "without a rate_weight"
+    } else if horizon_steps == 1 {
+        "with a horizon of one step"
+    } else {
+        return None;
+    };
+    (posture_gain > 0.0).then(|| {
+        format!("posture_gain = {posture_gain} has no effect {missing}: the body does not repeat what the tip repeats")
+    })
+}
+
 /// Warning about this rate weight of a robot with so many sections; `is_ideal`: the robot equals its model.
 pub fn rate_weight_warning(rate_weight: f64, sections: usize, is_ideal: bool) -> Option<String> {
     (rate_weight == 0.0 && sections > 1 && !is_ideal)

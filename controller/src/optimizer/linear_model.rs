@@ -7,7 +7,7 @@ use std::collections::BinaryHeap;
 use rows::Rows;
 
 use super::products::{add_times, dot, with_known_size};
-use super::stages::{RowStage, Stages};
+use super::stages::{RowStage, Stages, WIDTH_MAX};
 use super::{Budget, VIOLATIONS};
 
 /// Residuals r, Jacobian J and linearised constraints h + A Δ ≥ 0 at one point.
@@ -32,9 +32,11 @@ pub(crate) struct LinearModel {
     heaps_by_slack: [BinaryHeap<(i64, usize)>; VIOLATIONS],
     is_active: Vec<bool>,
     constraints_max: usize,
-    /// Weight of the squared unknowns.
+    /// Weight of the squared distance of each block from `centre`.
     weight: f64,
-    weighted_point: Vec<f64>,
+    centre: [f64; WIDTH_MAX],
+    /// That distance, of each unknown.
+    distances: Vec<f64>,
     /// Sum of the blocks before each block.
     sums: Vec<f64>,
 }
@@ -58,7 +60,8 @@ impl LinearModel {
             is_active: Vec::with_capacity(constraints),
             constraints_max: constraints,
             weight: 0.0,
-            weighted_point: Vec::with_capacity(unknowns),
+            centre: [0.0; WIDTH_MAX],
+            distances: Vec::with_capacity(unknowns),
             sums: Vec::with_capacity(unknowns),
         }
     }
@@ -75,7 +78,7 @@ impl LinearModel {
         self.cost_rows = 0;
         self.clear_constraints();
         self.weight = 0.0;
-        self.weighted_point.clear();
+        self.distances.clear();
     }
 
     /// Adds a residual with its derivatives with respect to the state, to which the unknowns are rates.
@@ -93,11 +96,20 @@ impl LinearModel {
         fill(row, derivatives, stage, &self.stages, self.is_staged);
     }
 
-    /// Sets the weight on the square of each unknown, at the point z. It needs no rows.
-    pub(crate) fn weight_unknowns(&mut self, weight: f64, z: &[f64]) {
+    /// Sets the weight on the squared distance of each block from `centre`, at the point z. It needs no rows.
+    pub(crate) fn weight_unknowns(&mut self, weight: f64, centre: &[f64], z: &[f64]) {
         self.weight = weight;
-        self.weighted_point.clear();
-        self.weighted_point.extend_from_slice(z);
+        self.centre[..centre.len()].copy_from_slice(centre);
+        self.move_weighted_point(z);
+    }
+
+    /// Moves the point of [`Self::weight_unknowns`].
+    pub(super) fn move_weighted_point(&mut self, z: &[f64]) {
+        self.distances.clear();
+        for block in z.chunks_exact(self.stages.width()) {
+            let distances = block.iter().zip(&self.centre).map(|(z, centre)| z - centre);
+            self.distances.extend(distances);
+        }
     }
 
     /// Adds a dense residual with zero derivatives, and returns them for the caller to fill in.
@@ -155,9 +167,9 @@ impl LinearModel {
         self.is_staged
     }
 
-    /// The weight of the squared unknowns, and the point, as set by [`Self::weight_unknowns`].
+    /// The weight of [`Self::weight_unknowns`], and the distances that it squares.
     pub(super) fn regulariser(&self) -> Option<(f64, &[f64])> {
-        (self.weight > 0.0).then_some((self.weight, &self.weighted_point))
+        (self.weight > 0.0).then_some((self.weight, &self.distances))
     }
 
     /// Number of residuals of the cost, which precede all others.
@@ -350,10 +362,10 @@ impl LinearModel {
             with_known_size!(stride, self.add_dense_gradient(stride, into, budget))
         };
         let (mut jacobian, mut residuals) = sums?;
-        if let Some((weight, z)) = self.regulariser() {
-            add_times(weight, z, into);
-            residuals += weight * dot(z, z);
-            jacobian += weight * z.len() as f64;
+        if let Some((weight, distances)) = self.regulariser() {
+            add_times(weight, distances, into);
+            residuals += weight * dot(distances, distances);
+            jacobian += weight * distances.len() as f64;
         }
         Some(f64::sqrt(jacobian * residuals))
     }

@@ -17,6 +17,7 @@ mod lag;
 mod long_horizons;
 mod nmpc;
 mod oracle;
+mod posture;
 mod robustness;
 mod safety;
 mod scenes;

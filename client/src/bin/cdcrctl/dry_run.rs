@@ -213,7 +213,7 @@ pub(crate) fn simulate(
         bar.show_share(cycle as f64 / cycles);
     }
     let shapes = [&there, path.configuration()];
-    demands.unrepeated = Unrepeated::after(trajectory, &robot, shapes);
+    demands.unrepeated = Unrepeated::after(trajectory, &robot, &settings, shapes);
     Ok(demands)
 }
 

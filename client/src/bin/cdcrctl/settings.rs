@@ -10,7 +10,8 @@ use anyhow::{bail, ensure};
 use cdcr_client::model::{broken_bound, moves_away};
 use cdcr_client::{Connection, LinkError, RequestError, STATUS_TIMEOUT, section_lengths_m};
 use cdcr_controller::nmpc::{
-    budget_warning, rate_change_weight_warning, rate_weight_warning, safe_distance_warning,
+    budget_warning, posture_gain_warning, rate_change_weight_warning, rate_weight_warning,
+    safe_distance_warning,
 };
 use cdcr_shared_types::codes::Outcome;
 use cdcr_shared_types::{SolverSettings, Status, Telemetry};
@@ -75,11 +76,17 @@ fn unintended(of: &[Setting], settings: SolverSettings, status: &Status) -> Vec<
         status.period_ns as f64 / 1e9,
         sections,
     );
+    let posture = posture_gain_warning(
+        settings.posture_gain,
+        settings.rate_weight,
+        settings.horizon_steps,
+    );
     let budget = budget_warning(settings.budget_ns as f64 / 1e6);
     let all = [
         ("safe_distance_m", distance),
         ("rate_weight", weight),
         ("rate_change_weight", change),
+        ("posture_gain", posture),
         ("budget_ms", budget),
     ];
     all.into_iter()
@@ -244,6 +251,15 @@ mod tests {
         assert_eq!(unintended(&[], settings, &status), [""; 0]);
         status.rate_weight_auto = 0.0;
         assert_eq!(unintended(&all, settings, &status).len(), 1);
+        let posture = SolverSettings {
+            posture_gain: 2.0,
+            ..SolverSettings::default()
+        };
+        let posture = unintended(&all, posture, &status).join("");
+        assert!(
+            posture.starts_with("posture_gain = 2 has no effect"),
+            "{posture}"
+        );
         let short = SolverSettings {
             budget_ns: 1_000,
             ..SolverSettings::default()

@@ -148,12 +148,12 @@ impl TrackingProblem<'_> {
         f64::from(self.settings.rate_weight) > 0.0 || self.settings.rate_change_weight > 0.0
     }
 
-    /// Cost of the rates of one plan and of their change.
+    /// Cost of the rates of one plan, as their distance from those of the posture, and of their change.
     pub(in crate::nmpc) fn regularisation_at(&self, z: &[f64]) -> f64 {
         self.regularisation(&|i: usize| Wide([z[i]])).0[0]
     }
 
-    /// Cost of the rates and of their change from block to block.
+    /// Cost of the rates, as their distance from those of the posture, and of their change from block to block.
     #[inline(always)]
     pub(super) fn regularisation<const W: usize>(&self, z: &impl Fn(usize) -> Wide<W>) -> Wide<W> {
         let NmpcSettings {
@@ -164,8 +164,12 @@ impl TrackingProblem<'_> {
         let rate_weight = f64::from(rate_weight);
         let mut cost = Wide::splat(0.0);
         if rate_weight > 0.0 {
-            for i in 0..self.dimension() {
-                cost = cost + z(i) * z(i) * rate_weight;
+            for block in 0..self.stages.blocks() {
+                let first = block * self.width();
+                for (i, posture) in self.posture[..self.width()].iter().enumerate() {
+                    let apart = z(first + i) - *posture;
+                    cost = cost + apart * apart * rate_weight;
+                }
             }
         }
         if rate_change_weight > 0.0 {

@@ -66,6 +66,7 @@ fn cases() -> impl Strategy<Value = Case> {
                 control_blocks: blocks.min(horizon_steps),
                 rate_weight: weights[0].into(),
                 rate_change_weight: weights[1],
+                posture_gain: 2.0,
                 terminal_weight: 3.0,
                 ..NmpcSettings::default()
             };
@@ -118,6 +119,8 @@ fn with_problem_among<T>(
     let mut obstacles = Obstacles::with_capacity();
     let safe_m = case.settings.safe_distance_m;
     let budget = &mut Budget::unlimited();
+    // A reference at 0.2 m/s, so that the posture has rates.
+    let next = case.goal.moved(&Vector3::new(0.0, 0.01, 0.0));
     obstacles.cull(&robot, &motion, around, safe_m, &fastest_rad_s, budget);
     run(&TrackingProblem::new(
         &robot,
@@ -126,7 +129,7 @@ fn with_problem_among<T>(
         &limits,
         &obstacles,
         &bounds,
-        (&case.held, &[case.goal]),
+        (&case.held, &[case.goal, next]),
     ))
 }
 
@@ -146,7 +149,8 @@ proptest! {
         with_problem(&case, |problem| {
             let model = linearised(problem, &case.plan);
             let residuals = (0..model.rows()).map(|row| model.residual(row));
-            let rates: f64 = case.plan.iter().map(|rate| rate * rate).sum();
+            let posture = problem.posture[..problem.width()].iter().cycle();
+            let rates: f64 = case.plan.iter().zip(posture).map(|(rate, posture)| (rate - posture) * (rate - posture)).sum();
             let rates = f64::from(case.settings.rate_weight) * rates;
             let sum = rates + residuals.map(|residual| residual * residual).sum::<f64>();
             let evaluation = problem.evaluate_at(&case.plan, &mut Budget::unlimited());

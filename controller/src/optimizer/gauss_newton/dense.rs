@@ -30,7 +30,8 @@ impl GaussNewton {
         let by_residuals = rows <= self.free.len();
         let regulariser = self.model.regulariser().filter(|_| by_residuals);
         for &i in &self.free {
-            let own = regulariser.map(|(weight, z)| -weight * z[i] / (damping + weight));
+            let own =
+                regulariser.map(|(weight, distances)| -weight * distances[i] / (damping + weight));
             self.step[i] = own.unwrap_or(0.0);
         }
         // Contribution of the fixed unknowns.
@@ -240,7 +241,7 @@ impl GaussNewton {
         let regulariser = self.model.regulariser();
         for (side, &i) in self.right_side.iter_mut().zip(&self.free) {
             // The residuals include the steps of the fixed unknowns; those of the free ones are zero.
-            *side = regulariser.map_or(0.0, |(weight, z)| -weight * z[i]);
+            *side = regulariser.map_or(0.0, |(weight, distances)| -weight * distances[i]);
         }
         if order == self.model.row(0).len() {
             if !with_known_size!(order, self.subtract_gradient(order, rows, budget)) {

@@ -53,12 +53,14 @@ impl GaussNewton {
         let (Some(rounding), Some(solved)) = (context.2, solved) else {
             return (0, false);
         };
-        let regulariser = self.model.regulariser();
-        let weight = regulariser.map(|(weight, _)| weight);
+        let is_weighted = self.model.regulariser().is_some();
+        if is_weighted {
+            self.model.move_weighted_point(incumbent.z());
+        }
         // With large remaining residuals, their curvature determines the minimum, and these derivatives do
         // not include it.
-        let left = |(weight, _)| incumbent.cost() - weight * dot(incumbent.z(), incumbent.z());
-        if regulariser.map_or(0.0, left) > residuals_max {
+        let left = |(weight, distances)| incumbent.cost() - weight * dot(distances, distances);
+        if self.model.regulariser().map_or(0.0, left) > residuals_max {
             return (0, false);
         }
         let is_reusable = |before: f64, cost: f64| {
@@ -68,7 +70,7 @@ impl GaussNewton {
         let (mut accepted, mut converged) = (0, false);
         while accepted < REUSED_STEPS_MAX
             && self.has_trial_residuals
-            && (weight.is_some() || is_reusable(before, incumbent.cost()))
+            && (is_weighted || is_reusable(before, incumbent.cost()))
         {
             before = incumbent.cost();
             let origin = incumbent.origin();
@@ -76,13 +78,13 @@ impl GaussNewton {
             residuals.copy_from_slice(&self.trial_residuals[..residuals.len()]);
             let is_better = self.with_trial(context, incumbent, origin, |own, trial| {
                 let dimension = trial.base.len();
-                if let Some(weight) = weight {
-                    own.model.weight_unknowns(weight, trial.base);
+                if is_weighted {
+                    own.model.move_weighted_point(trial.base);
                     own.model.gradient(&mut own.gradient[..dimension], budget)?;
                 }
                 own.solve_with_last_factors(dimension, damping, budget)
                     .then_some(())?;
-                if weight.is_some() {
+                if is_weighted {
                     let most = REUSE_SHARE * gain;
                     gain = own.gain(dimension);
                     let is_gain_rounding = trial.is_gain_rounding(&own.step[..dimension], gain);
@@ -166,7 +168,7 @@ mod tests {
             model.push(second, &[-0.4 * z[0], 1.0], RowStage::FIRST_BLOCK);
             model.push(last, &[2.0 * self.left * z[0], 0.0], RowStage::FIRST_BLOCK);
             if self.weight > 0.0 {
-                model.weight_unknowns(self.weight, z);
+                model.weight_unknowns(self.weight, &[0.0; 2], z);
             }
             true
         }

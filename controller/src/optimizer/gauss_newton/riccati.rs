@@ -380,7 +380,7 @@ mod tests {
         let unknowns = BLOCKS * width;
         let mut model = LinearModel::with_capacity(60, 60, unknowns, unknowns);
         model.clear(&Stages::new(width, 0.5, [1, 2, 1].into_iter()), true);
-        model.weight_unknowns(1e-3, &vec![0.2; unknowns]);
+        model.weight_unknowns(1e-3, &vec![0.1; width], &vec![0.3; unknowns]);
         for i in 0..12 {
             let stage = RowStage {
                 block: i / 4,

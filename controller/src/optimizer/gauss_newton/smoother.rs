@@ -42,7 +42,7 @@ impl QuadraticTerm {
     /// Adds the damping and the weight of the model.
     pub(super) fn with_own(self, model: &LinearModel, i: usize, damping: f64) -> Self {
         let (own, linear) = match model.regulariser() {
-            Some((own, z)) => (own, self.linear - own * z[i]),
+            Some((own, distances)) => (own, self.linear - own * distances[i]),
             None => (0.0, self.linear),
         };
         Self {

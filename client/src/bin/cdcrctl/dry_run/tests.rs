@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use cdcr_client::{Changed, Circle, FigurePlane, FileTrajectory};
+use cdcr_controller::nmpc::RateWeight;
 use cdcr_controller::robot::RobotParameters;
 use cdcr_shared_types::RobotDescription;
 
@@ -188,7 +189,7 @@ fn a_tip_that_joins_a_moving_reference_is_not_called_too_slow_for_it() {
 fn a_body_that_does_not_repeat_a_path_is_reported() {
     let mut record = two_sections();
     record.robot = robot(3);
-    let note = |rounds| {
+    let note = |rounds, posture_gain| {
         let circle = Circle {
             radius_m: 0.1,
             height_m: 0.75,
@@ -196,8 +197,12 @@ fn a_body_that_does_not_repeat_a_path_is_reported() {
             duration_s: std::f64::consts::PI,
         };
         let circle = Changed::new(Box::new(circle), 1.0, 1.0, FigurePlane::Xy, rounds);
-        let (settings, options) = (NmpcSettings::default(), FeedOptions::default());
-        let demands = simulate(&record, settings, &circle, &options).unwrap();
+        let settings = NmpcSettings {
+            rate_weight: RateWeight::MEASURED,
+            posture_gain,
+            ..NmpcSettings::default()
+        };
+        let demands = simulate(&record, settings, &circle, &FeedOptions::default()).unwrap();
         println!("{demands}");
         (demands.to_string().lines().map(str::trim)).find_map(|line| {
             let (section, moved) = line
@@ -209,9 +214,10 @@ fn a_body_that_does_not_repeat_a_path_is_reported() {
             ))
         })
     };
-    let moved = [1, 20].map(|rounds| note(rounds).expect("a note"));
+    let moved = [1, 20].map(|rounds| note(rounds, 0.0).expect("a note"));
     assert!(moved.iter().all(|(section, _)| section == "2"), "{moved:?}");
     assert!(moved[0].1 + 20.0 < moved[1].1, "{moved:?}");
+    assert_eq!(note(20, 5.0), None);
 }
 
 #[test]

@@ -6,6 +6,7 @@ use proptest::prelude::*;
 use super::super::{FoundStep, GaussNewton, Smoother};
 use crate::optimizer::{
     Bounds, Budget, Evaluation, Incumbent, LinearModel, Problem, Reach, RowStage, Simd, Stages,
+    WIDTH_MAX,
 };
 use crate::wide::Wide;
 
@@ -42,7 +43,7 @@ impl Problem for Linear {
             model.push(row.value, &row.derivatives, row.stage);
         }
         if self.weight > 0.0 {
-            model.weight_unknowns(self.weight, z);
+            model.weight_unknowns(self.weight, &CENTRE[..self.stages.width()], z);
         }
         budget.begin_quantum()
     }
@@ -60,6 +61,10 @@ impl Problem for Linear {
     }
 }
 
+/// Centre of a weight on the unknowns of each block.
+const CENTRE: [f64; WIDTH_MAX] = [
+    0.3, 0.0, -0.2, 0.1, 0.7, -0.4, 0.0, 0.5, -0.1, 0.2, -0.6, 0.05,
+];
 const ROWS_MAX: usize = 80;
 const CONSTRAINTS_MAX: usize = 16;
 
@@ -255,7 +260,7 @@ proptest! {
                 *residual = 1e-3 * *residual - 1e-4 * i as f64;
             }
             if staged.weight > 0.0 {
-                model.weight_unknowns(staged.weight, &step);
+                model.move_weighted_point(&step);
             }
             prop_assert!(smoother.solve_again(&model, &free, damping, &mut step, budget));
             prop_assert!(other.solve(&model, &free, damping, &mut expected, budget));
