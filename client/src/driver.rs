@@ -255,6 +255,11 @@ impl Driver {
         self.follower.offset()
     }
 
+    /// States where the motors stand before the first command; see [`CommandFollower::stand_at`].
+    pub fn stand_at(&mut self, place: CommandedPosition) {
+        self.follower.stand_at(place);
+    }
+
     /// Number of commands refused so far.
     pub fn refusals(&self) -> u64 {
         self.follower.refusals()

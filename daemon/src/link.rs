@@ -84,11 +84,17 @@ impl CycleRobot {
     }
 
     /// Sets the rates from the release at `release_ns` on, for a simulated robot. `commanded` is the
-    /// commanded position at that release.
-    pub fn command(&mut self, release_ns: u64, rates: &BendRates, commanded: &Configuration) {
+    /// commanded position at that release; `begins`: it is on its way to the robot, after a reset.
+    pub fn command(
+        &mut self,
+        release_ns: u64,
+        rates: &BendRates,
+        commanded: &Configuration,
+        begins: bool,
+    ) {
         match self {
             Self::Ideal(robot) => robot.plant.command(rates),
-            Self::Misbehaving(robot) => robot.command(release_ns, rates, commanded),
+            Self::Misbehaving(robot) => robot.command(release_ns, rates, commanded, begins),
             Self::Driver => {}
         }
     }
@@ -127,6 +133,11 @@ pub struct MisbehavingLink {
     rates: BendRates,
     /// Target of position motors \[m\].
     target_m: [f64; CABLES_MAX],
+    /// By how much these targets differ from the commanded lengths \[m\]. A load keeps the robot beside its targets, so motors stay while the
+    /// commanded position moves to the robot, as those of `cdcr_client::Driver` do.
+    beside_m: [f64; CABLES_MAX],
+    /// The commanded position was on its way to the robot.
+    begins: bool,
     /// End of the validity of the rates \[ns\].
     until_ns: u64,
     now_ns: Option<u64>,
@@ -162,6 +173,8 @@ impl MisbehavingLink {
             valid_ns: Policy::new(config).moving_ns(u64::MAX, ns(config.cycle.period_ms)),
             rates: BendRates::zero(robot.section_count()),
             target_m: robot.cable_lengths(initial),
+            beside_m: [0.0; CABLES_MAX],
+            begins: false,
             until_ns: 0,
             now_ns: None,
         })
@@ -208,9 +221,22 @@ impl MisbehavingLink {
         self.last
     }
 
-    fn command(&mut self, release_ns: u64, rates: &BendRates, commanded: &Configuration) {
-        self.target_m = self.model.cable_lengths(commanded);
-        self.rates = *rates;
+    fn command(
+        &mut self,
+        release_ns: u64,
+        rates: &BendRates,
+        commanded: &Configuration,
+        begins: bool,
+    ) {
+        let commanded_m = self.model.cable_lengths(commanded);
+        // The last part of the way, too.
+        if begins | core::mem::replace(&mut self.begins, begins) {
+            self.beside_m = core::array::from_fn(|cable| self.target_m[cable] - commanded_m[cable]);
+            self.rates = BendRates::zero(self.model.section_count());
+        } else {
+            self.target_m = core::array::from_fn(|cable| commanded_m[cable] + self.beside_m[cable]);
+            self.rates = *rates;
+        }
         self.until_ns = release_ns + self.valid_ns;
     }
 }

@@ -142,5 +142,6 @@ fn may_happen(refusal: &CommandRefusal) -> bool {
             | CommandRefusal::OtherDaemon { .. }
             | CommandRefusal::Elsewhere { .. }
             | CommandRefusal::OtherDriver { .. }
+            | CommandRefusal::Held { .. }
     )
 }

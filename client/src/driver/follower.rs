@@ -1,4 +1,5 @@
 mod present;
+mod standing;
 
 use std::ops::Range;
 
@@ -24,6 +25,8 @@ pub struct CommandFollower {
     present: Option<Present>,
     measured: Option<Measurement>,
     load: Load,
+    /// Where the motors stand before the first command, if the driver knows.
+    standing: Option<CommandedPosition>,
     /// Sender of this driver's own measurements.
     own_id: Option<u64>,
     /// The newest rest that is over.
@@ -63,6 +66,7 @@ impl CommandFollower {
             present: None,
             measured: None,
             load: Load::default(),
+            standing: None,
             own_id: None,
             rested: Rest::default(),
             refusals: 0,
@@ -117,7 +121,7 @@ impl CommandFollower {
         }
         self.rested = self.rest(now_ns);
         // The robot was measured at the first position: there is no move to it.
-        let begin = begin.unwrap_or(end);
+        let begin = begin.or(self.standing.take()).unwrap_or(end);
         // Late commands must not make up for their delay by a jump.
         let tip_max_m_s = self.tip_speed_max_m_s(command, offset.as_ref());
         let shortest_s = self.shortest_s(&begin, &end, tip_max_m_s) - ROUNDING_S;
@@ -276,11 +280,14 @@ impl CommandFollower {
         stays: bool,
         now_ns: u64,
     ) -> Option<CommandedPosition> {
-        let (present, standing) = (self.present.as_ref()?, standing?);
         if self.interface != Interface::Position {
             return None;
         }
         let commanded = CommandedPosition::from_command(command);
+        let Some(present) = &self.present else {
+            return self.standing.map(|place| place.minus(&commanded));
+        };
+        let standing = standing?;
         if !present.is_of_sender(command) {
             return Some(standing.minus(&commanded));
         }
@@ -346,6 +353,7 @@ impl CommandFollower {
                 late_ns: now_ns - command.valid_until_ns,
             });
         }
+        self.check_standing(command)?;
         // The first position of another daemon moves nothing, but the others count from it.
         let checked = match &self.present {
             Some(present) if present.is_of_sender(command) => end.in_command(command),
@@ -422,7 +430,7 @@ impl CommandFollower {
     }
 
     /// Offset of [`position_at`](Self::position_at) from the commanded position; `None` until another daemon
-    /// takes over, the motors miss commands before one in Stopped or Faulted, or a loaded robot is reset.
+    /// takes over, the motors miss commands before one in Stopped or Faulted, a loaded robot is reset, or the driver begins [elsewhere](Self::stand_at).
     ///
     /// The commanded position of a daemon that was started again begins where the robot is measured. A load
     /// separates this from the position of the motors. They do not move to it but keep their distance, until
@@ -451,7 +459,7 @@ impl CommandFollower {
     /// that they have left the commanded position. Call this after the reset: earlier commands contain the
     /// old position.
     pub fn forget(&mut self) {
-        self.present = None;
+        (self.present, self.standing) = (None, None);
         self.load = Load::default();
         self.rested = Rest::default();
     }

@@ -90,9 +90,23 @@ impl Load {
             present.all(MeasuredLoad::explains_distance)
         })
     }
+
+    /// By how much the robot is elsewhere than where the load has kept it, in the component that differs most \[rad\]; 0 where no load is known.
+    pub(super) fn change_rad(&self) -> f64 {
+        let known = self.known.iter().flatten();
+        let known = known.filter(|known| known.obeyed_ns >= FIRST_NS);
+        known.map(MeasuredLoad::change_rad).fold(0.0, f64::max)
+    }
 }
 
 impl MeasuredLoad {
+    fn change_rad(&self) -> f64 {
+        let pairs = self.present_rad.iter().zip(&self.load_rad);
+        pairs.fold(0.0, |most, (present_rad, load_rad)| {
+            most.max((present_rad - load_rad).abs())
+        })
+    }
+
     fn add(
         &mut self,
         distance_rad: &Bends,
@@ -123,11 +137,9 @@ impl MeasuredLoad {
     }
 
     fn explains_distance(&self) -> bool {
-        let mut pairs = self.present_rad.iter().zip(&self.load_rad);
-        let is_explained = pairs.all(|(present_rad, load_rad)| {
-            (present_rad - load_rad).abs() <= BEND_TOLERANCE_RAD
-                && present_rad.abs() <= POSE_DIFFERS_RAD
-        });
-        self.obeyed_ns >= FIRST_NS && is_explained
+        let mut distances_rad = self.present_rad.iter();
+        self.obeyed_ns >= FIRST_NS
+            && self.change_rad() <= BEND_TOLERANCE_RAD
+            && distances_rad.all(|rad| rad.abs() <= POSE_DIFFERS_RAD)
     }
 }

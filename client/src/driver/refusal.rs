@@ -81,6 +81,16 @@ pub enum CommandRefusal {
         /// Largest distance allowed \[rad or m\].
         most: f64,
     },
+    /// The robot is not where a load keeps it beside its motors, by more than 0.2 rad: it presses against something or was moved. Another
+    /// daemon, or the driver after its start, would not see this distance.
+    #[error(
+        "the robot is held {apart_rad:.3} rad aside of where its motors, or their load, keep it: free it, or switch off their torque, start the \
+         driver again without a stated place of its motors, and check the robot"
+    )]
+    Held {
+        /// Largest distance of a bend component \[rad\].
+        apart_rad: f64,
+    },
     /// A bend is beyond its limit.
     #[error("section {section} is commanded to bend by {bend_rad} rad, the limit is {limit_rad}")]
     Bend {

@@ -256,7 +256,7 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
 fn every_simulated_robot_tracks_and_rests_without_commands() {
     for preset in RobotPreset::ALL {
         for interface in [Interface::Position, Interface::Velocity] {
-            let mut trial = Trial::simulated(interface, preset);
+            let mut trial = Trial::simulated(interface, preset, "");
             trial.turns(3);
             trial.begin_tracking();
             let tracked = trial.turns(1200);

@@ -102,8 +102,9 @@ impl Cycle {
     pub(super) fn command(&mut self, release_ns: u64, rates: BendRates) {
         self.last_sent.is_first = self.is_at_rest();
         self.rates = rates;
+        let begins = self.state.way_to_begin().is_some();
         self.link
-            .command(release_ns, &rates, self.state.commanded());
+            .command(release_ns, &rates, self.state.commanded(), begins);
     }
 
     /// Inputs and commands pass the exchange; a simulated robot is measured and commanded in the cycle.

@@ -1,5 +1,6 @@
 //! Resets of a robot whose commanded position is not where it is measured.
 
+use cdcr_controller::estimator::Measurement;
 use cdcr_controller::plant::{Flaws, RobotPreset};
 use cdcr_controller::robot::CABLES_MAX;
 use cdcr_controller::safety::{Mode, Reason, Refusal, Request};
@@ -217,6 +218,35 @@ fn a_droop_that_is_no_fault_needs_no_word_at_a_reset() {
         trial.turns(200);
         assert_eq!(outcome(&mut trial, Request::Reset), Ok(()), "{interface:?}");
     }
+}
+
+/// The commanded position moves to the robot at a reset, and loaded motors stay. The robot has sunk once, when they took up its load.
+#[test]
+fn a_simulated_robot_that_droops_sinks_at_no_reset() {
+    let droops = "simulated_flaws = { droop_m = 0.002 }\n";
+    let mut trial = Trial::simulated(Interface::Position, RobotPreset::Laboratory, droops);
+    trial.turns(400);
+    let place = |trial: &Trial| match trial.last().measurement.map(|timed| timed.measurement) {
+        Some(Measurement::CableLengths(lengths_m)) => lengths_m,
+        other => unreachable!("{other:?}"),
+    };
+    let (stood_m, commanded) = (place(&trial), trial.target_rad.clone());
+    for number in 1..=3 {
+        trial.ask(Request::Stop);
+        trial.turns(100);
+        assert_eq!(outcome(&mut trial, Request::Reset), Ok(()));
+        trial.turns(400);
+        let moved_m = apart(&place(&trial), &stood_m);
+        assert!(moved_m < 1e-4, "reset {number}: {moved_m} m");
+        let error_rad = trial.last().following.largest_rad();
+        assert!(error_rad < 0.02, "reset {number}: {error_rad} rad");
+    }
+    assert!(apart(&trial.target_rad, &commanded) > 0.05);
+    // They follow from there.
+    trial.begin_tracking();
+    assert!(matches!(trial.turns(400).mode, Mode::Tracking { .. }));
+    assert!(trial.last().following.largest_rad() < 0.05);
+    assert!(apart(&place(&trial), &stood_m) > 1e-3);
 }
 
 /// The daemon before this one saw another pose, and this one does not know where the last command led.

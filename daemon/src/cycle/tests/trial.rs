@@ -111,9 +111,10 @@ impl Trial {
         Self::linked("kind = \"driver\"\n", interface, flaws, more)
     }
 
-    pub(super) fn simulated(interface: Interface, preset: RobotPreset) -> Self {
+    /// A robot that the daemon simulates, with additional lines of `[link]`.
+    pub(super) fn simulated(interface: Interface, preset: RobotPreset, more: &str) -> Self {
         let name = format!("{preset:?}").to_lowercase();
-        let link = format!("simulated = \"{name}\"\n");
+        let link = format!("simulated = \"{name}\"\n{more}");
         Self::linked(&link, interface, Flaws::default(), "")
     }
 

@@ -46,3 +46,42 @@ fn motors_hold_until_the_reset_when_their_driver_starts_in_stopped_or_faulted() 
     let refused = take(&mut follower, &far);
     assert!(matches!(refused, Err(CommandRefusal::Elsewhere { .. })));
 }
+
+/// A robot that sags is measured elsewhere than its motors stand: they stay, and move as the positions do.
+#[test]
+fn a_driver_that_states_where_its_motors_stand_moves_no_loaded_robot() {
+    const SAG_RAD: f64 = 0.12;
+    let place = |u_rad| CommandedPosition::from_command(&position(1, u_rad));
+    let stands_rad = COMMANDED_RAD + SAG_RAD;
+    for kind in [
+        MeasurementKind::CableLengths,
+        MeasurementKind::Configuration,
+    ] {
+        let mut follower = started(kind);
+        follower.stand_at(place(stands_rad));
+        take(&mut follower, &in_mode(Mode::Stopped, 1)).unwrap();
+        assert!(follower.position_at(2 * PERIOD_NS).is_none(), "it holds");
+        for cycle in 2..20 {
+            take(&mut follower, &in_mode(Mode::Holding, cycle)).unwrap();
+            for part in [0.2, 0.5, 1.0] {
+                let (bend_rad, length_m) = sampled_at(&follower, cycle as f64 + part);
+                assert!((bend_rad - stands_rad).abs() < 1e-12, "{bend_rad}");
+                let stands_m = place(stands_rad).cable_length_m[0];
+                assert!((length_m - stands_m).abs() < 1e-12, "{length_m}");
+            }
+        }
+        let offset_rad = follower.offset().unwrap().bend_rad[0];
+        assert!((offset_rad - SAG_RAD).abs() < 1e-12, "{offset_rad}");
+        take(&mut follower, &position(20, COMMANDED_RAD + 0.003)).unwrap();
+        let (bend_rad, _) = sampled_at(&follower, 21.0);
+        assert!((bend_rad - stands_rad - 0.003).abs() < 1e-12, "{bend_rad}");
+        // No load keeps it so far aside: the place is wrong, or something holds the robot.
+        let mut follower = started(kind);
+        follower.stand_at(place(MEASURED_RAD + 0.25));
+        let refused = take(&mut follower, &in_mode(Mode::Holding, 1));
+        assert!(matches!(refused, Err(CommandRefusal::Held { .. })));
+        follower.forget();
+        take(&mut follower, &in_mode(Mode::Holding, 2)).unwrap();
+        assert_eq!(sampled_at(&follower, 3.0).0, COMMANDED_RAD);
+    }
+}
