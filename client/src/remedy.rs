@@ -147,7 +147,7 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
         }
         Reason::FollowingError => {
             "Motors that follow positions keep pushing: switch off their torque before you touch the robot. Check that the motors run and nothing holds the robot; with a new driver also the sign, order and unit of its cables, and that \
-             it obeys its commands (cdcrctl status shows the following error). Then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
+             it obeys its commands. cdcrctl status shows the following error and, beside it, a cause that the cables show, such as the zero of a section. Then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::InputsStale => {
             "The machine delayed the daemon's exchange thread: see the causes in cdcrctl incidents, then feed the reference, or go home, again."

@@ -1,6 +1,10 @@
 //! Supervision of the following error: does the robot execute its commands?
 
+mod cause;
+
 use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot, SECTIONS_MAX};
+
+pub use cause::FollowingCause;
 
 /// Number of commanded configurations stored over the lag.
 const PAST_MAX: usize = 32;

@@ -27,7 +27,7 @@ pub use bend_limit::{BEND_TOLERANCE_RAD, BendLimitWatch, FarthestBend};
 pub use bucket::LeakyBucket;
 pub use command::safe_command;
 pub use common_mode::CommonModeWatch;
-pub use following::{FollowingError, FollowingRules, FollowingWatch};
+pub use following::{FollowingCause, FollowingError, FollowingRules, FollowingWatch};
 pub use limits::{Limited, Limits, LimitsHit, limit, shorten};
 pub use margin_share::MarginShare;
 pub use mode::{LeaseState, Mode, ModeMachine, Observation, Reason, Refusal, Request};

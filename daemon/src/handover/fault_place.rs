@@ -2,7 +2,7 @@ use std::fmt;
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::robot::Robot;
-use cdcr_controller::safety::{FarthestBend, MarginShare, Reason};
+use cdcr_controller::safety::{FarthestBend, FollowingCause, MarginShare, Reason};
 
 use super::CycleRecord;
 
@@ -24,8 +24,12 @@ pub enum FaultPlace {
     Tip { distance_m: f64 },
     /// The clearance of a body that counts as thicker by the tip margin \[m\].
     Margin(MarginShare),
-    /// The section farthest from its command.
-    Section { section: usize, error_rad: f64 },
+    /// The section farthest from its command, and what shows the cause.
+    Section {
+        section: usize,
+        error_rad: f64,
+        cause: Option<FollowingCause>,
+    },
 }
 
 impl FaultPlace {
@@ -42,7 +46,11 @@ impl FaultPlace {
             Reason::FollowingError => {
                 let errors_rad = record.following.bend_rad.iter().enumerate();
                 let farthest = errors_rad.max_by(|one, other| one.1.total_cmp(other.1));
-                farthest.map(|(section, &error_rad)| Self::Section { section, error_rad })
+                farthest.map(|(section, &error_rad)| Self::Section {
+                    section,
+                    error_rad,
+                    cause: FollowingCause::find(robot, &record.following),
+                })
             }
             Reason::ClearanceBroken if record.tip_margin_m > 0.0 => {
                 let clearance_m = record.clearance_m.min(record.measured_clearance_m);
@@ -139,12 +147,17 @@ impl fmt::Display for FaultPlace {
                     "the tip is measured {distance_m:.4} m from where the commands lead"
                 )
             }
-            Self::Section { section, error_rad } => {
+            Self::Section {
+                section,
+                error_rad,
+                cause,
+            } => {
                 write!(
                     f,
                     "section {} is {error_rad:.4} rad from its command",
                     section + 1
-                )
+                )?;
+                cause.map_or(Ok(()), |cause| write!(f, "; {cause}"))
             }
         }
     }

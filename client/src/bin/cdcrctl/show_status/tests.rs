@@ -1,5 +1,6 @@
 use super::*;
 use cdcr_shared_types::codes::{Interface, realtime};
+use cdcr_shared_types::{RobotDescription, SectionDescription};
 
 #[test]
 fn the_table_shows_the_essential_values() {
@@ -179,9 +180,19 @@ fn a_pose_that_a_reset_has_to_accept_is_shown_with_section_and_distance() {
 #[test]
 fn an_error_of_a_sections_three_cables_is_named_where_a_driver_refuses_it() {
     let mut status = Status::default();
-    status.robot.sections = 2;
-    status.robot.section[0].cable_radius_m = 0.0125;
-    status.robot.section[1].cable_radius_m = 0.0125;
+    status.robot = RobotDescription {
+        sections: 2,
+        cable_speed_max_m_s: 0.5,
+        cable_stroke_max_m: 0.25,
+        ..RobotDescription::default()
+    };
+    status.robot.section[..2].fill(SectionDescription {
+        length_m: 0.3,
+        cable_radius_m: 0.0125,
+        bend_max_rad: 2.8,
+        rate_max_rad_s: 2.0,
+        ..SectionDescription::default()
+    });
     // Strokes of a bend cancel, and 1.2 mm are within the tolerance of the second section.
     status.following_error_m[..6].copy_from_slice(&[3e-3, -2e-3, 0.7e-3, 1.2e-3, 1.2e-3, 1.2e-3]);
     let named = |status: &Status| {
