@@ -146,7 +146,7 @@ pub fn reason_remedy(reason: Reason) -> &'static str {
             "Check that the driver still reads the sensors and the robot can move, then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::FollowingError => {
-            "Motors that follow positions keep pushing: switch off their torque before you touch the robot. Check that the motors run and nothing holds the robot; with a new driver also the sign, order and unit of its cables, and that \
+            "Motors that follow positions keep pushing: switch off their torque before you touch the robot. Check that the motors run, reach robot.cable_speed_max_m_s, and nothing holds the robot; with a new driver also the sign, order and unit of its cables, and that \
              it obeys its commands. cdcrctl status shows the following error and, beside it, a cause that the cables show, such as the zero of a section. Then cdcrctl reset, with --accept-pose where cdcrctl status asks for it."
         }
         Reason::InputsStale => {

@@ -93,7 +93,7 @@ impl fmt::Display for FollowingCause {
                 than_commanded(*error_m)
             ),
             Self::EverySection => f.write_str(
-                "every section is off: the motors lag, stand or carry a load, their driver refuses the commands, or the robot was moved",
+                "every section is off: the motors lag, stand, carry a load or do not reach robot.cable_speed_max_m_s, their driver refuses the commands, or the robot was moved",
             ),
         }
     }
