@@ -7,7 +7,7 @@ use std::io::Write;
 use anyhow::{Context, bail};
 use cdcr_client::{counted, section_lengths_m};
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{Mode, ReferenceState, guard};
+use cdcr_shared_types::codes::{MeasurementKind, Mode, ReferenceState, guard};
 
 use crate::bend_limit::BendShare;
 use crate::unmeasured_tip::SILENT_NS;
@@ -157,10 +157,11 @@ impl TipError {
         self.at_limit
     }
 
-    /// Whether the measured tip was refused for longer, or its sensor silent, in this record, which was taken last: tip and
-    /// error are those of the model.
+    /// Whether no tip was measured yet, the measured one was refused for longer, or its sensor silent, in this record, which was
+    /// taken last: tip and error are those of the model.
     pub(crate) fn is_by_model(&self, record: &Telemetry) -> bool {
-        self.frames.is_by_model(record.release_ns)
+        let is_tip_alone = record.measurement.kind == MeasurementKind::TipPose.code();
+        self.frames.is_by_model(record.release_ns) || self.frames.is_unmeasured() && !is_tip_alone
     }
 
     /// When and where the tip was measured last, stray tips left out, and whether that belongs to this record, not to the

@@ -375,3 +375,21 @@ fn refused_tips_count_as_measured_when_a_second_has_passed_without_another() {
         assert_eq!((count, error.strays()), (Some(measured), strays), "{end:?}");
     }
 }
+
+#[test]
+fn without_a_measured_tip_the_error_is_by_the_model() {
+    let is_by_model = |kind: MeasurementKind, tip_measured_ns: u64| {
+        let mut record = Telemetry {
+            release_ns: 1_000_000_000,
+            tip_measured_ns,
+            ..Telemetry::default()
+        };
+        record.measurement.kind = kind.code();
+        let mut error = TipError::default();
+        error.take(&record);
+        error.is_by_model(&record)
+    };
+    assert!(is_by_model(MeasurementKind::CableLengths, 0));
+    assert!(!is_by_model(MeasurementKind::CableLengths, 999_000_000));
+    assert!(!is_by_model(MeasurementKind::TipPose, 0));
+}

@@ -306,6 +306,7 @@ impl Cycles {
             "error_mm": error.map(|error| error.map(|m| 1e3 * m)),
             "measured_mm": self.error.measured_mean_max_m().map(|(error, _)| error.map(|m| 1e3 * m)),
             "strays": self.error.strays(),
+            "is_by_model": self.error.unused_percent().is_some() || self.error.is_by_model(first),
             "unused_percent": self.error.unused_percent(),
             "least_clearance": self.least_clearance.map(|(m, t_s)| json!({"mm": 1e3 * m, "t_s": t_s})),
             "mode_names": Mode::ALL.iter().map(|mode| mode.text()).collect::<Vec<_>>(),

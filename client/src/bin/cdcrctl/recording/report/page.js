@@ -311,7 +311,7 @@ function summary() {
   add('late starts, skipped periods', `${data.late_starts}, ${data.skipped_periods}`);
   const error = data.error_mm;
   const unused = data.unused_percent;
-  add(`tip error${unused ? ' by the model' : ''} while tracking, after the approach`, error ? `mean ${number(error[0], 3)}, max ${number(error[1], 3)}, final ${number(error[2], 3)} mm` : 'nothing was tracked');
+  add(`tip error${data.is_by_model ? ' by the model' : ''} while tracking, after the approach`, error ? `mean ${number(error[0], 3)}, max ${number(error[1], 3)}, final ${number(error[2], 3)} mm` : 'nothing was tracked');
   const measured = data.measured_mm;
   if (measured) add('the same as measured, noise included', `mean ${number(measured[0], 3)}, max ${number(measured[1], 3)} mm`);
   if (data.strays) add('stray measurements of the tip, refused and left out', `${data.strays}`);
@@ -671,7 +671,7 @@ function error_and_clearance() {
     const log = high > 30 * values[values.length >> 1];
     const floor = Math.max(positive[positive.length >> 6], 1e-9);
     const range = log ? [10 ** Math.floor(Math.log10(floor)), 10 ** Math.ceil(Math.log10(1.05 * high))] : [0, 1.06 * high || 1];
-    const labels = [data.unused_percent ? 'by the model' : 'error', 'as measured'];
+    const labels = [data.is_by_model ? 'by the model' : 'error', 'as measured'];
     const series = names.map((name, i) => ({ name, label: labels[i] }));
     section('error', 'Error', chart({ title: `distance of tip and reference while tracking${log ? ', logarithmic' : ''}`, unit: 'mm', series, range, log }));
   } else {
