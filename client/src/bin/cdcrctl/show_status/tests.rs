@@ -179,12 +179,14 @@ fn a_pose_that_a_reset_has_to_accept_is_shown_with_section_and_distance() {
 
 #[test]
 fn an_error_of_a_sections_three_cables_is_named_where_a_driver_refuses_it() {
-    let mut status = Status::default();
-    status.robot = RobotDescription {
-        sections: 2,
-        cable_speed_max_m_s: 0.5,
-        cable_stroke_max_m: 0.25,
-        ..RobotDescription::default()
+    let mut status = Status {
+        robot: RobotDescription {
+            sections: 2,
+            cable_speed_max_m_s: 0.5,
+            cable_stroke_max_m: 0.25,
+            ..RobotDescription::default()
+        },
+        ..Status::default()
     };
     status.robot.section[..2].fill(SectionDescription {
         length_m: 0.3,
