@@ -14,7 +14,7 @@ const VISIBLE_AVERAGED_RAD: f64 = VISIBLE_RAD / 3.0;
 
 /// A measurement shows a stated rest if it is as far along the way from the place of motors that obeyed to that of motors that rested, as shares of
 /// this way. How far it is beside the way does not count: that is an error of the estimate from before the rest.
-const SHOWN: Range<f64> = 0.7..1.4;
+pub(super) const SHOWN: Range<f64> = 0.7..1.4;
 
 /// Motion still under way that a stated rest may take without a measurement that shows as much \[rad\]. Without this allowance a true
 /// statement counts too late behind motors of a long lag: beside an obstacle the robot comes too near.

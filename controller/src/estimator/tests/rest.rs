@@ -3,8 +3,12 @@
 use core::ops::Range;
 use core::slice::from_ref;
 
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
 use super::*;
-use crate::estimator::rest::UNSEEN_RAD;
+use crate::estimator::actuator::added;
+use crate::estimator::rest::{SHOWN, UNSEEN_RAD};
 use RestCause::{GoesOn, Silence, Stated};
 
 const PERIOD_S: f64 = 0.005;
@@ -296,23 +300,40 @@ impl Motors {
 /// By how much false statements may lead the estimate away: docs/model.md.
 const FARTHER_RAD: f64 = 0.12;
 
-/// What a driver states in this period, as ages \[s\].
-type Statement = fn(usize) -> Option<Range<f64>>;
+/// What a driver states in this period, as ages \[s\], the newest rest first: more than one count together.
+type Statement = fn(usize) -> Vec<Range<f64>>;
 
-const FALSE: [(&str, Statement); 7] = [
-    ("a period", |_| Some(0.0..PERIOD_S)),
-    ("30 ms", |_| Some(0.0..0.03)),
+/// Four rests of this duration, with this time from the beginning of one to that of the next \[s\].
+fn four(lasts_s: f64, every_s: f64) -> Vec<Range<f64>> {
+    let begins_s = (0..4).map(|number| every_s * f64::from(number));
+    begins_s.map(|from_s| from_s..from_s + lasts_s).collect()
+}
+
+const FALSE: [(&str, Statement); 12] = [
+    ("a period", |_| vec![0.0..PERIOD_S]),
+    ("30 ms", |_| vec![0.0..0.03]),
     ("30 ms or nothing", |cycle| {
-        (cycle % 2 == 0).then_some(0.0..0.03)
+        vec![0.0..0.03; usize::from(cycle % 2 == 0)]
     }),
     ("150 ms or nothing", |cycle| {
-        (cycle % 2 == 0).then_some(0.0..0.15)
+        vec![0.0..0.15; usize::from(cycle % 2 == 0)]
     }),
     ("since the beginning", |cycle| {
-        Some(0.0..cycle as f64 * PERIOD_S)
+        vec![0.0..cycle as f64 * PERIOD_S]
     }),
-    ("within the delay", |_| Some(0.0..0.01)),
-    ("long ago", |_| Some(0.1..0.15)),
+    ("within the delay", |_| vec![0.0..0.01]),
+    ("long ago", |_| vec![0.1..0.15]),
+    ("four of 2 ms", |_| four(2e-3, 0.01)),
+    ("four periods", |_| four(PERIOD_S, 0.02)),
+    ("four of 10 ms", |_| four(0.01, 0.08)),
+    ("four of 30 ms", |_| four(0.03, 0.04)),
+    ("four of 30 ms or nothing", |cycle| {
+        if cycle % 2 == 0 {
+            four(0.03, 0.06)
+        } else {
+            Vec::new()
+        }
+    }),
 ];
 
 /// How much farther the estimate is from the true bends at any release, at most, with these false statements than without \[rad\]. The motors
@@ -353,9 +374,7 @@ fn farther_rad(
         ];
         let measured = Measurement::Configuration(Configuration::from_slice(&bends).unwrap());
         let age_s = AGE_MS as f64 * 1e-3;
-        if let Some(ages_s) = stated(cycle) {
-            estimators[1].rested(&robot, &measured, age_s, &[ages_s], Stated);
-        }
+        estimators[1].rested(&robot, &measured, age_s, &stated(cycle), Stated);
         let truth_rad = Motors::delayed_rad(&motors.place_rad, 0);
         let turn_s = cycle as f64 * PERIOD_S;
         let rate_rad_s = RATE_RAD_S * (core::f64::consts::TAU * hertz * turn_s).sin();
@@ -398,4 +417,57 @@ fn false_statements_lead_the_estimate_away_by_a_bounded_distance() {
         }
     }
     assert!(farthest_rad < FARTHER_RAD, "{farthest_rad} rad");
+}
+
+/// The bound of docs/model.md, which follows from what a measurement has to show, for any number of rests: the motion seen is at most the distance of
+/// the measurement divided by the least share, and no more is under way than seen, or 0.1 rad.
+#[test]
+fn rests_lose_no_more_than_a_measurement_shows_of_them() {
+    let robot = robot(1);
+    let mut dice = Xoshiro256PlusPlus::seed_from_u64(3);
+    let mut losses = [0; 5];
+    for _ in 0..4000 {
+        let actuator = Actuator {
+            delay_s: dice.random_range(0.0..0.1),
+            time_constant_s: dice.random_range(0.0..0.1),
+            play_m: 0.0,
+        };
+        let estimator = Estimator::new(Configuration::straight(1)).with_time_constant(0.18);
+        let mut estimator = estimator.with_actuator(&robot, actuator);
+        for _ in 0..12 {
+            let rates = [(); 2].map(|()| dice.random_range(-RATE_RAD_S..RATE_RAD_S));
+            for _ in 0..10 {
+                estimator.predict(&BendRates::from_slice(&rates).unwrap(), PERIOD_S);
+            }
+        }
+        let (count, age_s) = (dice.random_range(1..5), dice.random_range(0.0..0.02));
+        let mut ago_s = 0.0;
+        let rests_s: Vec<_> = (0..count)
+            .map(|_| {
+                let from_s = ago_s + dice.random_range(0.0..0.06);
+                ago_s = from_s + dice.random_range(0.001..0.06);
+                from_s..ago_s
+            })
+            .collect();
+        let led = *estimator.motors();
+        let obeyed = estimator.motors.remaining_motion(age_s).start_from(&led);
+        let (mut motors, mut rested) = (estimator.motors.clone(), led);
+        for ages_s in &rests_s {
+            rested = added(&rested, &motors.rested(ages_s), -1.0);
+        }
+        let rested = motors.remaining_motion(age_s).start_from(&rested);
+        let way = added(&rested, obeyed.as_slice(), -1.0);
+        let aside_rad = [(); 2].map(|()| dice.random_range(-0.02..0.02));
+        let measured = added(&obeyed, way.as_slice(), dice.random_range(-0.5..2.0));
+        let measured = added(&measured, &aside_rad, 1.0);
+        let shown_rad = measured.distance_rad(&obeyed) / SHOWN.start;
+        let measured = Measurement::Configuration(measured);
+        if estimator.rested(&robot, &measured, age_s, &rests_s, Stated) {
+            let lost_rad = led.distance_rad(estimator.motors());
+            let most_rad = shown_rad + shown_rad.max(UNSEEN_RAD);
+            assert!(lost_rad < most_rad + 1e-9, "{lost_rad} of {most_rad} rad");
+            losses[count] += 1;
+        }
+    }
+    assert!(losses[1..].iter().all(|lost| *lost > 20), "{losses:?}");
 }
