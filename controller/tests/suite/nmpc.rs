@@ -422,6 +422,7 @@ fn cases() -> impl Strategy<Value = Case> {
                         swarm_iterations,
                         rate_weight: RateWeight::Of(weight),
                         rate_change_weight: weight,
+                        posture_gain: 2.0,
                         coordinates: if angles {
                             Coordinates::BendAngles
                         } else {
@@ -457,7 +458,11 @@ fn solve_case(
     let mut nmpc = Nmpc::new(case.robot.clone(), PERIOD_S, case.settings).unwrap();
     let at = Configuration::from_slice(&case.bends).unwrap();
     let rates = BendRates::from_slice(&case.rates).unwrap();
-    let goal = [case.target];
+    // A reference that travels, so that the posture has rates.
+    let goal = [
+        case.target,
+        case.target.moved(&Vector3::new(0.0, 1e-3, 0.0)),
+    ];
     let input = SolveInput {
         obstacles: &case.obstacles,
         seed: case.seed,

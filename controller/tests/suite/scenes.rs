@@ -437,6 +437,8 @@ fn every_path_gives_the_same_bits_with_everything_in_the_cost() {
         .map(|shape| Obstacle::new(shape, 0.004, Vector3::new(-0.1, 0.0, 0.05)).unwrap());
     let wanted = Orientation::Full(UnitQuaternion::from_matrix(&tip.rotation));
     let goal = sample(tip.position_m + Vector3::new(0.004, 0.002, -0.003), wanted);
+    // A reference that travels, so that the posture has rates.
+    let goals = [goal, goal.moved(&Vector3::new(0.0, 0.001, 0.0))];
     let rest = BendRates::zero(3);
     for coordinates in COORDINATES {
         let settings = NmpcSettings {
@@ -448,6 +450,7 @@ fn every_path_gives_the_same_bits_with_everything_in_the_cost() {
             orientation_tolerance_rad: 0.002,
             rate_weight: 1e-9.into(),
             rate_change_weight: 1e-9,
+            posture_gain: 2.0,
             ..NmpcSettings::default()
         };
         let mut plans = Simd::available().map(|simd| {
@@ -455,7 +458,7 @@ fn every_path_gives_the_same_bits_with_everything_in_the_cost() {
             let input = SolveInput {
                 obstacles: &obstacles,
                 seed: 5,
-                ..input(&at, &rest, std::slice::from_ref(&goal))
+                ..input(&at, &rest, &goals)
             };
             let (_, report) = nmpc.solve(&input, &mut Budget::unlimited());
             let bits: Vec<_> = nmpc.plan().iter().map(|rate| rate.to_bits()).collect();

@@ -198,7 +198,7 @@ fn a_body_that_does_not_repeat_a_path_is_reported() {
         };
         let circle = Changed::new(Box::new(circle), 1.0, 1.0, FigurePlane::Xy, rounds);
         let settings = NmpcSettings {
-            rate_weight: RateWeight::MEASURED,
+            rate_weight: RateWeight::auto(posture_gain == 0.0),
             posture_gain,
             ..NmpcSettings::default()
         };

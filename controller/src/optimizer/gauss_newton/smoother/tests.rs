@@ -182,13 +182,20 @@ impl Linear {
             .any(|row| self.value(row, step) < 0.0)
     }
 
+    /// Distances from the centre of the weight after a step.
+    fn distances(&self, z: &[f64], step: &[f64]) -> impl Iterator<Item = f64> {
+        let centre = CENTRE[..self.stages.width()].iter().cycle();
+        let ends = z.iter().zip(step).map(|(z, step)| z + step);
+        ends.zip(centre).map(|(end, centre)| end - centre)
+    }
+
     /// The cost of a step.
     fn cost(&self, damping: f64, z: &[f64], step: &[f64]) -> f64 {
         let square = |row: &LinearRow, most: f64| self.value(row, step).min(most).powi(2);
         let residuals = self.residuals.iter().map(|row| square(row, f64::INFINITY));
         let constraints = self.constraints.iter().map(|row| square(row, 0.0));
-        let own = z.iter().zip(step);
-        let own = own.map(|(z, s)| damping * s * s + self.weight * (z + s) * (z + s));
+        let own = self.distances(z, step).zip(step);
+        let own = own.map(|(distance, s)| damping * s * s + self.weight * distance * distance);
         residuals.chain(constraints).chain(own).sum()
     }
 
@@ -196,9 +203,9 @@ impl Linear {
     /// violated constraint v is at least -2 y v - y²; here s y = `mu`. The rest lies above its tangent at
     /// `step` and the squares of damping and weight.
     fn bound(&self, damping: f64, z: &[f64], step: &[f64], mu: f64) -> f64 {
-        let own = z.iter().zip(step);
+        let own = self.distances(z, step).zip(step);
         let mut gradient: Vec<f64> = own
-            .map(|(z, step)| damping * step + self.weight * (z + step))
+            .map(|(distance, step)| damping * step + self.weight * distance)
             .collect();
         let without = Self {
             constraints: vec![],
