@@ -458,11 +458,9 @@ fn solve_case(
     let mut nmpc = Nmpc::new(case.robot.clone(), PERIOD_S, case.settings).unwrap();
     let at = Configuration::from_slice(&case.bends).unwrap();
     let rates = BendRates::from_slice(&case.rates).unwrap();
-    // A reference that travels, so that the posture has rates.
-    let goal = [
-        case.target,
-        case.target.moved(&Vector3::new(0.0, 1e-3, 0.0)),
-    ];
+    // A reference that travels has a posture.
+    let next = case.target.moved(&Vector3::new(0.0, 1e-3, 0.0));
+    let goal = [case.target, next];
     let input = SolveInput {
         obstacles: &case.obstacles,
         seed: case.seed,

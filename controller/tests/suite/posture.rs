@@ -50,7 +50,7 @@ struct Row {
 
 impl Rounds {
     /// A row at each of these times, in rounds.
-    fn follow(self, until_rounds: &[f64]) -> Vec<Row> {
+    fn follow(&self, until_rounds: &[f64]) -> Vec<Row> {
         let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
         let start = Configuration::from_bend_angles(&self.start_rad);
         let start_m = robot.tip_position(&start);
@@ -102,7 +102,7 @@ fn apart_mm(a: &Row, b: &Row) -> f64 {
 }
 
 /// Motion of the body from round 6 to round 30, and the mean error of the tip in these rounds (mm).
-fn later(rounds: Rounds) -> [f64; 2] {
+fn later(rounds: &Rounds) -> [f64; 2] {
     let rows = rounds.follow(&[1.0, 5.0, 6.0, 30.0]);
     let [first, each, late] = [1, 2, 3].map(|row| apart_mm(&rows[row - 1], &rows[row]));
     let tip_mm = rows[3].tip_mean_mm;
@@ -115,10 +115,10 @@ fn later(rounds: Rounds) -> [f64; 2] {
 
 #[test]
 fn the_body_repeats_what_the_tip_repeats() {
-    let [late, tip_mm] = later(circle(0.0));
+    let [late, tip_mm] = later(&circle(0.0));
     assert!(late > 50.0, "{late}");
     for gain in [1.0, 2.0, 5.0] {
-        let [late, with_tip_mm] = later(circle(gain));
+        let [late, with_tip_mm] = later(&circle(gain));
         assert!(late < 8.0 / gain, "{gain}: {late}");
         let most_mm = 1.01 * tip_mm;
         assert!(with_tip_mm < most_mm, "{gain}: {with_tip_mm} {tip_mm}");
@@ -131,7 +131,7 @@ fn with_the_weights_of_smooth_it_is_repeated_too() {
         let mut rounds = circle(gain);
         rounds.settings.rate_weight = RateWeight::Of(1e-7);
         rounds.settings.rate_change_weight = 1e-5;
-        later(rounds)
+        later(&rounds)
     };
     let [without, with] = [0.0, 2.0].map(smooth);
     assert!(without[0] > 50.0 && with[0] < 4.0, "{without:?} {with:?}");

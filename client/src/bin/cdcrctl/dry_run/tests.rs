@@ -217,7 +217,9 @@ fn a_body_that_does_not_repeat_a_path_is_reported() {
     let moved = [1, 20].map(|rounds| note(rounds, 0.0).expect("a note"));
     assert!(moved.iter().all(|(section, _)| section == "2"), "{moved:?}");
     assert!(moved[0].1 + 20.0 < moved[1].1, "{moved:?}");
-    assert_eq!(note(20, 5.0), None);
+    // With a posture the body settles during the first rounds.
+    let settled = [10, 20].map(|rounds| note(rounds, 5.0).expect("a note").1);
+    assert!((settled[0] - settled[1]).abs() <= 1.0, "{settled:?}");
 }
 
 #[test]
