@@ -256,8 +256,11 @@ impl Driver {
     }
 
     /// States where the motors stand before the first command; see [`CommandFollower::stand_at`].
-    pub fn stand_at(&mut self, place: CommandedPosition) {
-        self.follower.stand_at(place);
+    ///
+    /// # Errors
+    /// As there.
+    pub fn stand_at(&mut self, place: CommandedPosition) -> Result<(), CommandRefusal> {
+        self.follower.stand_at(place)
     }
 
     /// Number of commands refused so far.

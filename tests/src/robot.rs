@@ -142,6 +142,5 @@ fn may_happen(refusal: &CommandRefusal) -> bool {
             | CommandRefusal::OtherDaemon { .. }
             | CommandRefusal::Elsewhere { .. }
             | CommandRefusal::OtherDriver { .. }
-            | CommandRefusal::Held { .. }
     )
 }

@@ -102,6 +102,27 @@ fn check_strokes(
     Ok(())
 }
 
+/// Refuses cables of a section that are off together: no bend has them.
+pub(super) fn check_mean_lengths(
+    robot: &RobotDescription,
+    lengths_m: &[f64],
+) -> Result<(), CommandRefusal> {
+    let mut straight_m = 0.0;
+    let sections = sections(robot).iter().zip(tolerances_m(robot));
+    for (j, (section, most)) in sections.enumerate() {
+        straight_m += section.length_m;
+        let way = lengths_m[3 * j..3 * j + 3].iter().sum::<f64>() / 3.0 - straight_m;
+        if way.abs() > most {
+            return Err(CommandRefusal::Elsewhere {
+                at: 3 * j,
+                way,
+                most,
+            });
+        }
+    }
+    Ok(())
+}
+
 /// Refuses a first position that differs from the measured one.
 pub(super) fn check_near(
     robot: &RobotDescription,

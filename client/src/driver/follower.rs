@@ -353,7 +353,7 @@ impl CommandFollower {
                 late_ns: now_ns - command.valid_until_ns,
             });
         }
-        self.check_standing(command)?;
+        self.check_standing()?;
         // The first position of another daemon moves nothing, but the others count from it.
         let checked = match &self.present {
             Some(present) if present.is_of_sender(command) => end.in_command(command),

@@ -90,13 +90,6 @@ impl Load {
             present.all(MeasuredLoad::explains_distance)
         })
     }
-
-    /// By how much the robot is elsewhere than where the load has kept it, in the component that differs most \[rad\]; 0 where no load is known.
-    pub(super) fn change_rad(&self) -> f64 {
-        let known = self.known.iter().flatten();
-        let known = known.filter(|known| known.obeyed_ns >= FIRST_NS);
-        known.map(MeasuredLoad::change_rad).fold(0.0, f64::max)
-    }
 }
 
 impl MeasuredLoad {

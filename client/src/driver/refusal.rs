@@ -81,11 +81,11 @@ pub enum CommandRefusal {
         /// Largest distance allowed \[rad or m\].
         most: f64,
     },
-    /// The robot is not where a load keeps it beside its motors, by more than 0.2 rad: it presses against something or was moved. Another
-    /// daemon, or the driver after its start, would not see this distance.
+    /// The stated place of the motors is more than 0.2 rad from the measured robot: it presses against something, was moved, or the place is
+    /// wrong.
     #[error(
-        "the robot is held {apart_rad:.3} rad aside of where its motors, or their load, keep it: free it, or switch off their torque, start the \
-         driver again without a stated place of its motors, and check the robot"
+        "the robot is {apart_rad:.3} rad from the stated place of its motors, more than 0.2 rad: free it, or switch off their torque, start the \
+         driver again without a stated place, and check the robot"
     )]
     Held {
         /// Largest distance of a bend component \[rad\].

@@ -167,7 +167,7 @@ impl Computer {
 
     /// Place and error of the tip, which nothing else depends on.
     fn check_tip(&self, record: &Telemetry, state: &State, check: &mut Check) {
-        let tip_m = self.robot.tip_position(&state.present) + state.tip_offset_m;
+        let tip_m = self.robot.tip_pose(&state.present).position_m + state.tip_offset_m;
         check.numbers("tip_position_m", &record.tip_position_m, tip_m.as_slice());
         let reference_m = if record.reference.state == ReferenceState::None.code() {
             Vector3::repeat(f64::NAN)

@@ -1,7 +1,7 @@
 use cdcr_controller::robot::{Configuration, Robot};
 
 /// Points on the backbone of a section; enough for a smooth bend of 0.7 rad.
-pub(crate) const POINTS_PER_SECTION: usize = 24;
+const POINTS_PER_SECTION: usize = 24;
 
 /// A point in the base frame \[m\].
 pub(crate) type Position = [f64; 3];

@@ -92,7 +92,8 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
     }
     let (done, mut error) = follow(&connection, &*trajectory, feed, |_| Ok(()))?;
     if done == Done::Good {
-        error.unheard = unmeasured_tip::never(&connection.status(STATUS_TIMEOUT)?);
+        let status = connection.status(STATUS_TIMEOUT)?;
+        error.unheard = unmeasured_tip::never(&status, &newest(&connection)?);
         error.print(arguments.max_error)?;
     }
     Ok(done)
@@ -171,7 +172,7 @@ pub(crate) fn go(
         error.take(&end);
         let status = connection.status(STATUS_TIMEOUT)?;
         let cause = unmeasured_tip::cause(&status, &end);
-        let cause = cause.or_else(|| unmeasured_tip::never(&status));
+        let cause = cause.or_else(|| unmeasured_tip::never(&status, &end));
         way_end::print(&end, cause, &error, goal_m, arguments.max_error)?;
     }
     Ok(done)

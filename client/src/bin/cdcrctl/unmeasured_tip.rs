@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, STATUS_TIMEOUT, counted, remedy};
 use cdcr_controller::estimator::tip_offset_max_m;
-use cdcr_shared_types::codes::{Mode, Outcome, TipCause};
+use cdcr_shared_types::codes::{MeasurementKind, Mode, Outcome, TipCause};
 use cdcr_shared_types::limits::TIP_SENSOR_SILENT_MS;
 use cdcr_shared_types::{Status, Telemetry};
 
@@ -126,13 +126,14 @@ pub(crate) fn warn_now(connection: &Connection) {
     }
 }
 
-/// Why no tip was ever measured, to be said at the end of a motion; `None`: one was.
-pub(crate) fn never(status: &Status) -> Option<String> {
+/// Why no tip was ever measured, to be said at the end of a motion; `None`: one was. `record`: a present one.
+pub(crate) fn never(status: &Status, record: &Telemetry) -> Option<String> {
     if Unheard::from_status(status) == Some(Unheard::Never) {
         let refused = refused_text(status).unwrap_or_default();
         return Some(format!("{}; {refused}", Unheard::Never));
     }
-    let is_measured = status.tip_measured_ns > 0 || status.driver_measures_tip_only != 0;
+    let is_tip_alone = record.measurement.kind == MeasurementKind::TipPose.code();
+    let is_measured = status.tip_measured_ns > 0 || is_tip_alone;
     (!is_measured).then(|| "no sensor measures the tip".to_owned())
 }
 

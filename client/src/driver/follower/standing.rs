@@ -1,10 +1,10 @@
-//! Where the motors stand when a daemon or a driver takes over.
+//! Where the motors stand when a driver is started again.
 
-use cdcr_shared_types::Command;
-use cdcr_shared_types::codes::Interface;
+use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::limits::POSE_DIFFERS_RAD;
+use cdcr_shared_types::{Command, Measurement};
 
-use super::{CommandFollower, CommandRefusal, CommandedPosition, measured_bends};
+use super::{CommandFollower, CommandRefusal, CommandedPosition, bounds, measured_bends};
 
 impl CommandFollower {
     /// States where the motors stand before the first command: the last [`position_at`](Self::position_at) that this driver gave them
@@ -13,33 +13,43 @@ impl CommandFollower {
     ///
     /// A place that is more than 0.2 rad from the measured robot is refused with the first command. Do not call it where the motors
     /// were without torque. [`forget`](Self::forget) forgets it.
-    pub fn stand_at(&mut self, place: CommandedPosition) {
-        self.standing = Some(place);
-    }
-
-    /// Refuses to take over motors that stand so far from the robot that something holds it: with each restart they would
-    /// press more, and neither daemon nor person would see it.
-    pub(super) fn check_standing(&self, command: &Command) -> Result<(), CommandRefusal> {
-        let apart_rad = match (&self.present, &self.standing) {
-            _ if self.interface != Interface::Position => 0.0,
-            (Some(present), _) if present.is_of_sender(command) => 0.0,
-            (Some(_), _) => self.load.change_rad(),
-            (None, Some(place)) => self.apart_rad(place),
-            (None, None) => 0.0,
+    ///
+    /// # Errors
+    /// A number that is not finite, a place beyond the limits of the robot, and cables that are not those of the bends.
+    pub fn stand_at(&mut self, place: CommandedPosition) -> Result<(), CommandRefusal> {
+        let command = place.in_command(&Command::default());
+        bounds::check(&self.robot, Interface::Position, &command, None)?;
+        bounds::check_mean_lengths(&self.robot, &place.cable_length_m)?;
+        let cables = Measurement {
+            kind: MeasurementKind::CableLengths.code(),
+            cable_length_m: place.cable_length_m,
+            ..Measurement::default()
         };
-        if apart_rad > POSE_DIFFERS_RAD {
-            return Err(CommandRefusal::Held { apart_rad });
-        }
+        let bends = Measurement {
+            kind: MeasurementKind::Configuration.code(),
+            bend_rad: measured_bends::bends_rad(&self.robot, &cables),
+            ..Measurement::default()
+        };
+        bounds::check_near(&self.robot, &command, &bends)?;
+        self.standing = Some(place);
         Ok(())
     }
 
-    /// Largest distance of this place from the measured bends \[rad\]; 0 where none are measured.
-    fn apart_rad(&self, place: &CommandedPosition) -> f64 {
-        let measured = self.measured.as_ref();
-        measured.map_or(0.0, |measured| {
-            let bends_rad = measured_bends::bends_rad(&self.robot, measured);
-            let pairs = place.bend_rad.iter().zip(bends_rad);
-            pairs.fold(0.0, |most, (place, bend)| most.max((place - bend).abs()))
-        })
+    /// Refuses a stated place so far from the robot that no load explains it: the place is wrong, or something holds the robot.
+    pub(super) fn check_standing(&self) -> Result<(), CommandRefusal> {
+        let (None, Some(place), Some(measured)) = (&self.present, &self.standing, &self.measured)
+        else {
+            return Ok(());
+        };
+        let bends_rad = measured_bends::bends_rad(&self.robot, measured);
+        let pairs = place.bend_rad.iter().zip(bends_rad);
+        let apart_rad = pairs.map(|(place, bend)| (place - bend).abs());
+        match apart_rad
+            .into_iter()
+            .find(|rad| !(*rad <= POSE_DIFFERS_RAD))
+        {
+            Some(apart_rad) => Err(CommandRefusal::Held { apart_rad }),
+            None => Ok(()),
+        }
     }
 }

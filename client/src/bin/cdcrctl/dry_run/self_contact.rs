@@ -6,10 +6,13 @@ use std::fmt;
 use cdcr_controller::robot::{Configuration, Robot};
 use nalgebra::Vector3;
 
-use crate::backbone::{POINTS_PER_SECTION, backbone};
-
-/// Overlap up to this is no contact \[m\]: the points of the backbone have distances of a few millimetres.
+/// Overlap up to this is no contact \[m\].
 const TOLERANCE_M: f64 = 2e-3;
+/// Points of the backbone are this part of the body's radius apart: between them the body is less than a sixteenth of its
+/// radius nearer to another part that it touches.
+const SPACING: f64 = 0.5;
+/// Maximum number of points of a section, whose body may be thin.
+const POINTS_MAX: f64 = 400.0;
 
 /// The deepest overlap of two parts of the body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,31 +23,58 @@ pub(super) struct SelfContact {
     overlap_m: f64,
 }
 
+/// A point of the backbone.
+struct Place {
+    section: usize,
+    /// Distance from the base along the backbone \[m\].
+    along_m: f64,
+    point_m: Vector3<f64>,
+    radius_m: f64,
+}
+
+/// Points of the backbone, base first.
+fn places(robot: &Robot, shape: &Configuration) -> Vec<Place> {
+    let (mut places, mut base_m) = (Vec::new(), 0.0);
+    for (section, geometry) in robot.sections().iter().enumerate() {
+        let count = (geometry.length_m / (SPACING * geometry.body_radius_m)).ceil();
+        let count = count.clamp(1.0, POINTS_MAX) as usize;
+        places.extend((0..=count).map(|k| {
+            let share = k as f64 / count as f64;
+            Place {
+                section,
+                along_m: base_m + share * geometry.length_m,
+                point_m: robot.body_point(shape, section, share),
+                radius_m: geometry.body_radius_m,
+            }
+        }));
+        base_m += geometry.length_m;
+    }
+    places
+}
+
 impl SelfContact {
     /// Of a shape at this time. Parts nearer along the body than a half circle of its radius cannot touch: no arc is
     /// narrower than the body.
     pub(super) fn find(robot: &Robot, shape: &Configuration, time_s: f64) -> Option<Self> {
-        let points: Vec<Vector3<f64>> = (backbone(robot, shape.as_slice()).into_iter())
-            .map(Vector3::from)
-            .collect();
-        let section_of = |k: usize| (k / POINTS_PER_SECTION).min(robot.section_count() - 1);
-        let radius_m = |k: usize| robot.sections()[section_of(k)].body_radius_m;
-        let part_m =
-            |k: usize| robot.sections()[section_of(k)].length_m / POINTS_PER_SECTION as f64;
+        let places = places(robot, shape);
+        let thickest_m = places
+            .iter()
+            .fold(0.0, |most, place| place.radius_m.max(most));
         let mut deepest: Option<Self> = None;
-        for i in 0..points.len() {
-            let mut along_m = 0.0;
-            for j in i + 1..points.len() {
-                along_m += part_m(j - 1);
-                if along_m < PI * radius_m(i).max(radius_m(j)) {
+        for (i, one) in places.iter().enumerate() {
+            let mut from_m = one.along_m + PI * one.radius_m;
+            for other in &places[i + 1..] {
+                if other.along_m < from_m.max(one.along_m + PI * other.radius_m) {
                     continue;
                 }
-                let overlap_m = radius_m(i) + radius_m(j) - (points[i] - points[j]).norm();
+                let distance_m = (one.point_m - other.point_m).norm();
+                // No part within this way along the backbone is near enough.
+                from_m = other.along_m + distance_m - one.radius_m - thickest_m;
+                let overlap_m = one.radius_m + other.radius_m - distance_m;
                 if overlap_m > deepest.map_or(TOLERANCE_M, |deepest| deepest.overlap_m) {
-                    let sections = [i, j].map(|k| 1 + section_of(k));
                     deepest = Some(Self {
                         time_s,
-                        sections,
+                        sections: [1 + one.section, 1 + other.section],
                         overlap_m,
                     });
                 }

@@ -58,11 +58,11 @@ fn a_driver_that_states_where_its_motors_stand_moves_no_loaded_robot() {
         MeasurementKind::Configuration,
     ] {
         let mut follower = started(kind);
-        follower.stand_at(place(stands_rad));
-        take(&mut follower, &in_mode(Mode::Stopped, 1)).unwrap();
+        follower.stand_at(place(stands_rad)).unwrap();
+        take(&mut follower, &in_mode(Mode::Stopped, 1, COMMANDED_RAD)).unwrap();
         assert!(follower.position_at(2 * PERIOD_NS).is_none(), "it holds");
         for cycle in 2..20 {
-            take(&mut follower, &in_mode(Mode::Holding, cycle)).unwrap();
+            take(&mut follower, &in_mode(Mode::Holding, cycle, COMMANDED_RAD)).unwrap();
             for part in [0.2, 0.5, 1.0] {
                 let (bend_rad, length_m) = sampled_at(&follower, cycle as f64 + part);
                 assert!((bend_rad - stands_rad).abs() < 1e-12, "{bend_rad}");
@@ -77,11 +77,37 @@ fn a_driver_that_states_where_its_motors_stand_moves_no_loaded_robot() {
         assert!((bend_rad - stands_rad - 0.003).abs() < 1e-12, "{bend_rad}");
         // No load keeps it so far aside: the place is wrong, or something holds the robot.
         let mut follower = started(kind);
-        follower.stand_at(place(MEASURED_RAD + 0.25));
-        let refused = take(&mut follower, &in_mode(Mode::Holding, 1));
+        follower.stand_at(place(MEASURED_RAD + 0.25)).unwrap();
+        let refused = take(&mut follower, &in_mode(Mode::Holding, 1, COMMANDED_RAD));
         assert!(matches!(refused, Err(CommandRefusal::Held { .. })));
         follower.forget();
-        take(&mut follower, &in_mode(Mode::Holding, 2)).unwrap();
+        take(&mut follower, &in_mode(Mode::Holding, 2, COMMANDED_RAD)).unwrap();
         assert_eq!(sampled_at(&follower, 3.0).0, COMMANDED_RAD);
     }
+}
+
+/// A place is kept in a file, which may be another robot's, or in other units.
+#[test]
+fn a_stated_place_that_is_no_position_of_the_robot_is_refused() {
+    let mut follower = started(MeasurementKind::Configuration);
+    let good = CommandedPosition::from_command(&position(1, COMMANDED_RAD));
+    let wrong = |change: fn(&mut CommandedPosition)| {
+        let mut place = good;
+        change(&mut place);
+        place
+    };
+    for place in [
+        wrong(|place| place.bend_rad[0] = f64::NAN),
+        wrong(|place| place.cable_length_m[0] = f64::INFINITY),
+        wrong(|place| place.cable_length_m = place.cable_length_m.map(|m| 1e3 * m)),
+        wrong(|place| place.cable_length_m = place.cable_length_m.map(|_| 0.0)),
+        wrong(|place| place.bend_rad[0] += 0.1),
+        wrong(|place| place.cable_length_m = place.cable_length_m.map(|m| m + 0.01)),
+    ] {
+        follower.stand_at(place).unwrap_err();
+        take(&mut follower, &in_mode(Mode::Holding, 1, COMMANDED_RAD)).unwrap();
+        assert_eq!(sampled_at(&follower, 2.0).0, COMMANDED_RAD);
+        follower.forget();
+    }
+    follower.stand_at(good).unwrap();
 }

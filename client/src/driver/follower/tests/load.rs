@@ -267,26 +267,3 @@ fn each_section_counts_by_itself() {
         }
     }
 }
-
-/// Another daemon begins at the measured position: it would not see how far the motors press, and they would press more after each restart.
-#[test]
-fn another_daemon_takes_over_no_motors_that_press() {
-    for kind in KINDS {
-        for (held_rad, is_taken) in [(0.3, false), (0.15, true)] {
-            let mut follower = stopped(kind, |motors_rad, _| motors_rad.min(MOTORS_RAD - held_rad));
-            let of_other = |cycle, u_rad| sent_by(OTHER, in_mode(Mode::Stopped, cycle, u_rad));
-            let taken = take(&mut follower, &of_other(RESET + 10, MOTORS_RAD - held_rad));
-            assert_eq!(taken.is_ok(), is_taken, "{taken:?}");
-            let is_held =
-                matches!(taken, Err(CommandRefusal::Held { apart_rad }) if apart_rad > 0.2);
-            assert_eq!(is_held, !is_taken, "{taken:?}");
-            assert_eq!(sampled_at(&follower, (RESET + 11) as f64).0, MOTORS_RAD);
-            // Freed, it is where its motors are.
-            for cycle in RESET + 10..RESET + 100 {
-                follower.tell_measured(&measured(kind, cycle, MOTORS_RAD));
-            }
-            take(&mut follower, &of_other(RESET + 100, MOTORS_RAD)).unwrap();
-            assert_eq!(sampled_at(&follower, (RESET + 101) as f64).0, MOTORS_RAD);
-        }
-    }
-}
