@@ -35,20 +35,16 @@ pub(super) fn posture_controls(
     controls
 }
 
-/// Speed of the reference from the first to the last of its samples, each one period after the one before. 0 without two of
-/// them.
+/// Mean speed along the reference, whose samples are a period apart. 0 without two of them.
 fn speed_m_s(reference: &[ReferenceSample], period_s: f64) -> f64 {
-    let [first, .., last] = reference else {
-        return 0.0;
-    };
-    if [first, last]
-        .map(|sample| sample.state)
-        .contains(&ReferenceState::None)
-    {
+    let is_unknown = |sample: &ReferenceSample| sample.state == ReferenceState::None;
+    if reference.len() < 2 || reference.iter().any(is_unknown) {
         return 0.0;
     }
-    let duration_s = period_s * (reference.len() - 1) as f64;
-    (last.position_m - first.position_m).norm() / duration_s
+    let steps_m = reference
+        .windows(2)
+        .map(|pair| (pair[1].position_m - pair[0].position_m).norm());
+    steps_m.sum::<f64>() / (period_s * (reference.len() - 1) as f64)
 }
 
 #[cfg(test)]

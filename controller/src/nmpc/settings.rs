@@ -104,7 +104,7 @@ crate::parameters! {
         /// Weight of the squared changes of rates, per (rad/s)², {range}.
         rate_change_weight: f64 = 0.0, in ranges::WEIGHT, usual 0.0..=0.01;
         /// Gain by which bends that the tip does not need return towards straight while it travels, {range}: by the factor exp(-gain) where the
-        /// reference travels the length of the robot. 0: they drift, and on a repeated path the body does not repeat its motion
+        /// reference travels the length of the robot, and by exp(-1) in a second at most. 0: they drift, and on a repeated path the body does not repeat its motion
         /// (docs/tuning.md). Without a weight of the rates, or with a horizon of one step, it has no effect.
         posture_gain: f64 = 0.0, in ranges::POSTURE_GAIN;
         /// Factor on the error cost of the last step, {range}.

@@ -50,6 +50,9 @@ const NEAR_M: f64 = 5e-3;
 /// Maximum number of cycles of a simulated reference.
 const CYCLES_MAX: u64 = 200_000;
 
+/// Shapes nearer than this differ by some millimetres at most \[rad\].
+const SAME_SHAPE_RAD: f64 = 5e-3;
+
 /// From a first point nearer than this, the approach is the reference itself \[m\].
 const JOINED_M: f64 = 1e-3;
 /// A dry run does not know the limits of the daemon's approach.
@@ -101,6 +104,8 @@ struct Motion {
     slowed: Option<Slowed>,
     clearance_m: f64,
     self_contact: Option<SelfContact>,
+    /// The shape that was looked at for it last.
+    looked_at: Option<Configuration>,
 }
 
 /// The record of this cycle; a status may be 0.1 s old.
@@ -229,6 +234,7 @@ impl Motion {
         slowed: None,
         clearance_m: f64::INFINITY,
         self_contact: None,
+        looked_at: None,
     };
 
     /// Simulates one period and updates the maxima.
@@ -263,8 +269,21 @@ impl Motion {
         self.held_back = HeldBack::newest(closed, largest_m);
         self.slowed = Slowed::newest(closed, &before, period_s);
         self.clearance_m = self.clearance_m.min(closed.clearance_m());
-        let contact = SelfContact::find(closed.robot(), closed.configuration(), closed.time_s());
-        self.self_contact = SelfContact::deeper(self.self_contact, contact);
+        self.note_self_contact(closed);
+    }
+
+    /// Notes a body that touches itself, in each shape that differs from the last one that was looked at.
+    fn note_self_contact<R: Fn(f64) -> reference::ReferenceSample>(
+        &mut self,
+        closed: &ClosedLoop<R>,
+    ) {
+        let shape = closed.configuration();
+        let is_like = |seen: &Configuration| seen.distance_rad(shape) < SAME_SHAPE_RAD;
+        if !self.looked_at.as_ref().is_some_and(is_like) {
+            self.looked_at = Some(*shape);
+            let contact = SelfContact::find(closed.robot(), shape, closed.time_s());
+            self.self_contact = SelfContact::deeper(self.self_contact, contact);
+        }
     }
 
     fn rate(&self) -> String {

@@ -92,8 +92,10 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
     }
     let (done, mut error) = follow(&connection, &*trajectory, feed, |_| Ok(()))?;
     if done == Done::Good {
-        let status = connection.status(STATUS_TIMEOUT)?;
-        error.unheard = unmeasured_tip::never(&status, &newest(&connection)?);
+        // A daemon that has ended meanwhile does not hide the error.
+        let present = (connection.status(STATUS_TIMEOUT).ok()).zip(newest(&connection).ok());
+        error.unheard =
+            present.and_then(|(status, record)| unmeasured_tip::never(&status, &record));
         error.print(arguments.max_error)?;
     }
     Ok(done)

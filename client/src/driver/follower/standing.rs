@@ -46,7 +46,7 @@ impl CommandFollower {
         let apart_rad = pairs.map(|(place, bend)| (place - bend).abs());
         match apart_rad
             .into_iter()
-            .find(|rad| !(*rad <= POSE_DIFFERS_RAD))
+            .find(|rad| rad.is_nan() || *rad > POSE_DIFFERS_RAD)
         {
             Some(apart_rad) => Err(CommandRefusal::Held { apart_rad }),
             None => Ok(()),

@@ -76,8 +76,8 @@ impl fmt::Display for FollowingCause {
         match self {
             Self::CommonMode { section, error_m } => write!(
                 f,
-                "the three cables of section {} are {}, which no bend explains: set their zero (docs/drivers.md, Zero). The driver \
-                 library refuses such a first command",
+                "the three cables of section {} are in the mean {}, which no bend explains: set their zero (docs/drivers.md, Zero), unless \
+                 motors jam or a load pulls at all of them. The driver library refuses such a first command",
                 section + 1,
                 than_commanded(*error_m)
             ),

@@ -21,8 +21,8 @@ const RING_BYTES: usize = 64 << 20;
 
 /// Maximum size of a chunk that is not written yet, of the findings of the doctor and of the end without the index.
 const END_BYTES: u64 = 512_000;
-/// Maximum size of the index, as a part of the data before it: one of this many.
-const INDEX_PART: u64 = 50;
+/// The index is at most one part of so many of the data before it: 0.8 % at 200 Hz, 2.9 % at 10 Hz, where chunks are small.
+const INDEX_PART: u64 = 25;
 
 /// Metadata at the start of a file.
 pub(super) struct Head {
