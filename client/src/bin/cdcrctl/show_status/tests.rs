@@ -208,7 +208,7 @@ fn an_error_of_a_sections_three_cables_is_named_where_a_driver_refuses_it() {
     status.following_error_m[3..6].fill(-2e-3);
     let line = named(&status).expect("a line");
     assert!(
-        line.contains("section 2 are measured 2.0 mm shorter"),
+        line.contains("section 2 are in the mean measured 2.0 mm shorter"),
         "{line}"
     );
 }
