@@ -211,23 +211,10 @@ pub(crate) fn tip_distance(status: &Status) -> String {
 
 /// Tip position, error to the reference, and following error.
 fn place(out: &mut String, status: &Status) -> std::fmt::Result {
-    let [x, y, z] = status.tip_position_m.map(|m| 1e3 * m);
     if status.mode == Mode::Starting.code() {
         write!(out, "tip         not known yet: control has not begun")?;
     } else {
-        write!(out, "tip         {x:.1}, {y:.1}, {z:.1} mm")?;
-    }
-    if status.position_error_m.is_finite() {
-        let [x, y, z] = status.reference_position_m.map(|m| 1e3 * m);
-        let error = 1e3 * status.position_error_m;
-        write!(
-            out,
-            ", {error:.3} mm from its reference, {x:.1}, {y:.1}, {z:.1} mm"
-        )?;
-    }
-    if status.measured_error_m.is_finite() {
-        let error = 1e3 * status.measured_error_m;
-        write!(out, "; measured {error:.3} mm from it")?;
+        tip(out, status)?;
     }
     if let Some(unheard) = Unheard::from_status(status) {
         write!(out, "; {unheard}")?;
@@ -241,6 +228,25 @@ fn place(out: &mut String, status: &Status) -> std::fmt::Result {
         write!(out, "\n            {refused}")?;
     }
     following::write(out, status)
+}
+
+/// Where the tip is, and how far from its reference.
+fn tip(out: &mut String, status: &Status) -> std::fmt::Result {
+    let [x, y, z] = status.tip_position_m.map(|m| 1e3 * m);
+    write!(out, "tip         {x:.1}, {y:.1}, {z:.1} mm")?;
+    if status.position_error_m.is_finite() {
+        let [x, y, z] = status.reference_position_m.map(|m| 1e3 * m);
+        let error = 1e3 * status.position_error_m;
+        write!(
+            out,
+            ", {error:.3} mm from its reference, {x:.1}, {y:.1}, {z:.1} mm"
+        )?;
+    }
+    if status.measured_error_m.is_finite() {
+        let error = 1e3 * status.measured_error_m;
+        write!(out, "; measured {error:.3} mm from it")?;
+    }
+    Ok(())
 }
 
 /// A tip sensor that was started before the driver is probably taken for it.
