@@ -240,6 +240,7 @@ fn a_fault_is_shown_with_its_remedy() {
 #[test]
 fn a_tip_that_is_not_in_use_is_named_with_its_cause() {
     let mut status = Status {
+        mode: Mode::Holding.code(),
         tip_measured_ns: 1,
         ..Status::default()
     };
