@@ -32,7 +32,7 @@ class Settings(TypedDict, total=False):
     position_weight: float
     """Weight of the squared position error in the cost (Eq. 5), per m², 1e-12 to 1e12."""
     posture_gain: float
-    """Gain by which bends that the tip does not need return towards straight while it travels, 0 to 10: by the factor exp(-gain) where the reference travels the length of the robot. 0: they drift, and on a repeated path the body does not repeat its motion (docs/tuning.md). Without a weight of the rates, or with a horizon of one step, it has no effect."""
+    """Gain by which bends that the tip does not need return towards straight while it travels, 0 to 10: by the factor exp(-gain) where the reference travels the length of the robot, and by exp(-1) in a second at most. 0: they drift, and on a repeated path the body does not repeat its motion (docs/tuning.md). Without a weight of the rates, or with a horizon of one step, it has no effect."""
     rate_change_weight: float
     """Weight of the squared changes of rates, per (rad/s)², 0 to 1e12."""
     rate_weight: float | Literal["auto"]

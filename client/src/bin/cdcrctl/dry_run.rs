@@ -50,8 +50,8 @@ const NEAR_M: f64 = 5e-3;
 /// Maximum number of cycles of a simulated reference.
 const CYCLES_MAX: u64 = 200_000;
 
-/// Shapes nearer than this differ by some millimetres at most \[rad\].
-const SAME_SHAPE_RAD: f64 = 5e-3;
+/// In shapes nearer than this, no part of a robot of 1 m is farther apart than its body is thick \[rad\].
+const SAME_SHAPE_RAD: f64 = 0.02;
 
 /// From a first point nearer than this, the approach is the reference itself \[m\].
 const JOINED_M: f64 = 1e-3;
