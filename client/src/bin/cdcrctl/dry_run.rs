@@ -50,7 +50,8 @@ const NEAR_M: f64 = 5e-3;
 /// Maximum number of cycles of a simulated reference.
 const CYCLES_MAX: u64 = 200_000;
 
-/// In shapes nearer than this, no part of a robot of 1 m is farther apart than its body is thick \[rad\].
+/// The body is looked at for self-contact in shapes that differ by this: a part of a robot of 1 m moves by at most 20 mm between
+/// them, so that a contact that lasts for less may be missed \[rad\].
 const SAME_SHAPE_RAD: f64 = 0.02;
 
 /// From a first point nearer than this, the approach is the reference itself \[m\].
@@ -83,8 +84,10 @@ pub(crate) struct Demands {
     safe_distance_m: f64,
     has_orientation: bool,
     unrepeated: Option<Unrepeated>,
-    /// At the start.
-    self_contact: Option<SelfContact>,
+    /// At the start, and the deepest along the reference.
+    self_contact: [Option<SelfContact>; 2],
+    /// The shape that was looked at for it last.
+    looked_at: Option<Configuration>,
     /// The reference does not begin where the tip is, and nothing brings the tip there before: `--track` would join it.
     pub(crate) may_join: bool,
 }
@@ -103,9 +106,6 @@ struct Motion {
     /// In the newest period.
     slowed: Option<Slowed>,
     clearance_m: f64,
-    self_contact: Option<SelfContact>,
-    /// The shape that was looked at for it last.
-    looked_at: Option<Configuration>,
 }
 
 /// The record of this cycle; a status may be 0.1 s old.
@@ -175,7 +175,7 @@ pub(crate) fn simulate(
         .with_stopping(valid_periods, record.deceleration_rad_s2)
         .with_tip_offset(record.tip_margin_m);
     let mut demands = Demands::new(&robot, &settings, way.error_m());
-    demands.self_contact = SelfContact::find(&robot, &here, 0.0);
+    demands.self_contact[0] = SelfContact::find(&robot, &here, 0.0);
     demands.has_orientation = matches!(
         trajectory.orientation(0.0),
         Orientation::Axis(_) | Orientation::Full(_)
@@ -211,6 +211,7 @@ pub(crate) fn simulate(
             bail!("interrupted; nothing moved");
         }
         demands.along.step(&mut path, &mut nmpc, period_s);
+        demands.note_self_contact(&path);
         let time_s = path.time_s().min(trajectory.duration_s());
         if joining.is_over((path.time_s() * 1e9) as u64) {
             demands.note_error(time_s, trajectory.position_m(time_s), path.error_m());
@@ -233,8 +234,6 @@ impl Motion {
         held_back: None,
         slowed: None,
         clearance_m: f64::INFINITY,
-        self_contact: None,
-        looked_at: None,
     };
 
     /// Simulates one period and updates the maxima.
@@ -269,21 +268,6 @@ impl Motion {
         self.held_back = HeldBack::newest(closed, largest_m);
         self.slowed = Slowed::newest(closed, &before, period_s);
         self.clearance_m = self.clearance_m.min(closed.clearance_m());
-        self.note_self_contact(closed);
-    }
-
-    /// Notes a body that touches itself, in each shape that differs from the last one that was looked at.
-    fn note_self_contact<R: Fn(f64) -> reference::ReferenceSample>(
-        &mut self,
-        closed: &ClosedLoop<R>,
-    ) {
-        let shape = closed.configuration();
-        let is_like = |seen: &Configuration| seen.distance_rad(shape) < SAME_SHAPE_RAD;
-        if !self.looked_at.as_ref().is_some_and(is_like) {
-            self.looked_at = Some(*shape);
-            let contact = SelfContact::find(closed.robot(), shape, closed.time_s());
-            self.self_contact = SelfContact::deeper(self.self_contact, contact);
-        }
     }
 
     fn rate(&self) -> String {
@@ -309,8 +293,23 @@ impl Demands {
             safe_distance_m: settings.safe_distance_m,
             has_orientation: false,
             unrepeated: None,
-            self_contact: None,
+            self_contact: [None; 2],
+            looked_at: None,
             may_join: false,
+        }
+    }
+
+    /// Notes a body that touches itself, in each shape that differs from the last one that was looked at.
+    fn note_self_contact<R: Fn(f64) -> reference::ReferenceSample>(
+        &mut self,
+        closed: &ClosedLoop<R>,
+    ) {
+        let shape = closed.configuration();
+        let is_like = |seen: &Configuration| seen.distance_rad(shape) < SAME_SHAPE_RAD;
+        if !self.looked_at.as_ref().is_some_and(is_like) {
+            self.looked_at = Some(*shape);
+            let contact = SelfContact::find(closed.robot(), shape, closed.time_s());
+            self.self_contact[1] = SelfContact::deeper(self.self_contact[1], contact);
         }
     }
 
@@ -360,8 +359,8 @@ impl Demands {
 
     /// Fails when the body would touch itself along the reference, deeper than now.
     pub(crate) fn check_self_contact(&self) -> anyhow::Result<()> {
-        match (self.along.self_contact).filter(|contact| contact.is_deeper_than(self.self_contact))
-        {
+        let [start, along] = self.self_contact;
+        match along.filter(|contact| contact.is_deeper_than(start)) {
             Some(contact) => bail!(
                 "{contact}: use another point or path, or begin in another shape (cdcrctl home); nothing moved"
             ),
