@@ -23,7 +23,7 @@ def _codes() -> dict[tuple[str, ...], dict[str, type[_wire.Code]]]:
 def message(record: np.void) -> dict[str, Any]:
     """A row of a structured array as a dictionary: nested messages too, codes as members of their enumerations, texts as str."""
     if not isinstance(record, np.void):
-        raise ArgumentError(f"{type(record).__name__} is no row of a structured array", "Give one row, such as records[0].")
+        raise ArgumentError(f"{type(record).__name__} is not a row of a structured array", "Give one row, such as records[0].")
     names = record.dtype.names or ()
     codes = _codes().get(names, {})
     return {name: _value(record[name], codes.get(name)) for name in names}

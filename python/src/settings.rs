@@ -130,7 +130,7 @@ pub(crate) fn read(path: &PathBuf) -> Result<Table, Failure> {
     })?;
     text.parse().map_err(|error| {
         Failure::argument(
-            format!("{name} is no TOML: {error}"),
+            format!("{name} is not valid TOML: {error}"),
             format!("Check it with: cdcrd check --config {name}"),
         )
     })

@@ -3,7 +3,7 @@
 //! A position has three coordinates, and a robot of n sections 2n bends. The smallest rates that move the tip along a
 //! closed path do not lead the body back to the shape in which a round began (Klein & Huang, *IEEE Trans. SMC* 13, 1983).
 //! So the cost weights the distance of the rates from u₀ = -α b instead of the rates: b are the bends at the start of the horizon. Where the tip
-//! needs all bends it has the last word. In all other directions the plan follows u₀, down the gradient of |b|² / 2
+//! needs all bends, the tip takes precedence. In all other directions the plan follows u₀, down the gradient of |b|² / 2
 //! (Liégeois, *IEEE Trans. SMC* 7, 1977), to the shape of the least bends with that tip.
 //!
 //! α is in proportion to the speed of the reference. So a body rests where its tip does, and its path does not

@@ -79,6 +79,8 @@ pub(crate) struct Demands {
     farthest: (f64, [f64; 3]),
     /// The limit that held the robot back there.
     missed_at: Option<HeldBack>,
+    /// The clearance there.
+    missed_clearance_m: f64,
     end_m: [f64; 3],
     stroke_max_m: f64,
     safe_distance_m: f64,
@@ -214,7 +216,8 @@ pub(crate) fn simulate(
         demands.note_self_contact(&path);
         let time_s = path.time_s().min(trajectory.duration_s());
         if joining.is_over((path.time_s() * 1e9) as u64) {
-            demands.note_error(time_s, trajectory.position_m(time_s), path.error_m());
+            let (point_m, clearance_m) = (trajectory.position_m(time_s), path.clearance_m());
+            demands.note_error(time_s, point_m, path.error_m(), clearance_m);
         }
         bar.show_share(cycle as f64 / cycles);
     }
@@ -288,6 +291,7 @@ impl Demands {
             error_end_m: 0.0,
             farthest: (0.0, [0.0; 3]),
             missed_at: None,
+            missed_clearance_m: f64::INFINITY,
             end_m: [0.0; 3],
             stroke_max_m: robot.cable_stroke_max_m(),
             safe_distance_m: settings.safe_distance_m,
@@ -313,13 +317,13 @@ impl Demands {
         }
     }
 
-    fn note_error(&mut self, time_s: f64, point_m: [f64; 3], error_m: f64) {
+    fn note_error(&mut self, time_s: f64, point_m: [f64; 3], error_m: f64, clearance_m: f64) {
         self.cycles += 1;
         self.error_sum_m += error_m;
         (self.error_end_m, self.end_m) = (error_m, point_m);
         if error_m > self.error_max_m {
             (self.error_max_m, self.farthest) = (error_m, (time_s, point_m));
-            self.missed_at = self.along.held_back;
+            (self.missed_at, self.missed_clearance_m) = (self.along.held_back, clearance_m);
         }
     }
 
@@ -334,27 +338,6 @@ impl Demands {
     /// Largest bend of a section \[rad\] and largest rate \[rad/s\] along the reference.
     pub(crate) fn bend_and_rate(&self) -> (f64, f64) {
         (self.along.bend_rad, self.along.rate_rad_s)
-    }
-
-    /// Cause and remedy where a point is missed by more than `allowed_m`, although the bends allow every point ([`reach`](crate::reach)).
-    pub(crate) fn miss(&self, allowed_m: f64) -> Option<(String, &'static str)> {
-        let (cause, remedy) = match self.missed_at {
-            Some(limit) => (limit.to_string(), limit.remedy()),
-            None if self.along.clearance_m == f64::INFINITY => {
-                ("too fast".to_owned(), "use a lower --speed")
-            }
-            None => (
-                "too fast, or obstructed".to_owned(),
-                "use a lower --speed, or remove obstacles",
-            ),
-        };
-        let cause = || {
-            format!(
-                "{cause}: {}, though the robot's bends allow every point",
-                self.missed()
-            )
-        };
-        (self.error_max_m > allowed_m).then(|| (cause(), remedy))
     }
 
     /// Fails when the body would touch itself along the reference, deeper than now.

@@ -126,7 +126,7 @@ pub(crate) fn warn_now(connection: &Connection) {
     }
 }
 
-/// Why no tip was ever measured, to be said at the end of a motion; `None`: one was. `record`: a present one.
+/// Reason why no tip was measured, reported at the end of a motion; `None` if one was measured. `record`: a present one.
 pub(crate) fn never(status: &Status, record: &Telemetry) -> Option<String> {
     if Unheard::from_status(status) == Some(Unheard::Never) {
         let refused = refused_text(status).unwrap_or_default();

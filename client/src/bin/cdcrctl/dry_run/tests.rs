@@ -92,6 +92,39 @@ fn a_reference_above_the_speed_limit_of_the_tip_names_it() {
 }
 
 #[test]
+fn an_obstacle_on_the_way_is_named_before_the_speed_limit_at_every_speed() {
+    let mut record = two_sections();
+    record.robot.tip_speed_max_m_s = 0.1;
+    record.obstacle_count = 1;
+    record.obstacles[0] = cdcr_shared_types::Obstacle {
+        id: 1,
+        radius_m: 0.02,
+        start_m: [0.2, 0.0, 0.53],
+        ..cdcr_shared_types::Obstacle::default()
+    };
+    for end_s in [1, 2, 20] {
+        let rows = format!("t_s,x_m,y_m,z_m\n0,0.1,0,0.57\n{end_s},0.2,0,0.53\n");
+        let settings = NmpcSettings::default();
+        let demands = simulate(
+            &record,
+            settings,
+            &reference(&rows),
+            &FeedOptions::default(),
+        )
+        .unwrap();
+        let text = demands.check(1e-3).unwrap_err().to_string();
+        assert!(
+            text.starts_with("obstructed or too fast, beside an obstacle at "),
+            "{text}"
+        );
+        assert!(
+            text.contains("remove the obstacle") && !text.contains("raise"),
+            "{text}"
+        );
+    }
+}
+
+#[test]
 fn a_limit_for_which_a_motion_takes_too_long_is_named() {
     let file = reference("t_s,x_m,y_m,z_m\n0,0.1,0,0.57\n2,0.2,0,0.53\n");
     let settings = NmpcSettings::default();
@@ -253,7 +286,7 @@ fn an_obstacle_in_the_way_is_named() {
         ..NmpcSettings::default()
     };
     let mut demands = Demands::new(&robot, &settings, 0.1);
-    demands.note_error(0.0, [0.0; 3], 0.0989);
+    demands.note_error(0.0, [0.0; 3], 0.0989, f64::INFINITY);
     let text = |demands: &Demands| demands.check_end(1e-3).unwrap_err().to_string();
     assert!(!text(&demands).contains("obstacle"));
     demands.along.clearance_m = 0.2;
