@@ -151,7 +151,7 @@ def test_a_row_is_no_array_of_them() -> None:
     rows = np.zeros(2, cdcr.dtype("Status"))
     assert cdcr.message(rows[0])["mode"] is cdcr.Mode.STARTING
     for wrong in (rows, 3, None, {}):
-        with pytest.raises(cdcr.ArgumentError, match="no row") as refused:
+        with pytest.raises(cdcr.ArgumentError, match="is not a row of") as refused:
             cdcr.message(wrong)
         assert "records[0]" in refused.value.remedy
 

@@ -406,15 +406,19 @@ impl Demands {
 
     /// Names the obstacle that the motion came near.
     fn obstruction(&self) -> String {
-        let clearance_m = self.before.clearance_m.min(self.along.clearance_m);
-        if clearance_m > self.safe_distance_m + NEAR_M {
-            return String::new();
-        }
+        self.beside(self.before.clearance_m.min(self.along.clearance_m))
+            .unwrap_or_default()
+    }
+
+    /// Names an obstacle at this clearance, if it is near enough to hold the robot back.
+    fn beside(&self, clearance_m: f64) -> Option<String> {
         let [clearance_mm, safe_mm] = [clearance_m, self.safe_distance_m].map(|m| 1e3 * m);
-        format!(
-            ", beside an obstacle at {clearance_mm:.1} mm of its body, where the clearance guard keeps {safe_mm:.1} mm \
-             (cdcrctl obstacle list)"
-        )
+        (clearance_m <= self.safe_distance_m + NEAR_M).then(|| {
+            format!(
+                ", beside an obstacle at {clearance_mm:.1} mm of its body, where the clearance guard keeps {safe_mm:.1} mm \
+                 (cdcrctl obstacle list)"
+            )
+        })
     }
 }
 

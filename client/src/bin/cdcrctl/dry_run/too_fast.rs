@@ -6,7 +6,7 @@ use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_shared_types::Telemetry;
 
 use super::held_back::HeldBack;
-use super::{Demands, NEAR_M, PositionsOf, longest_s, simulate};
+use super::{Demands, PositionsOf, longest_s, simulate};
 
 /// Fails where a reference is to be tracked that the dry run refuses as too fast, or because the body would touch itself, by its positions
 /// and without obstacles, which the guard avoids. What is too long to be simulated is not checked.
@@ -40,24 +40,21 @@ pub(crate) fn check_speed(
 impl Demands {
     /// Cause and remedy where a point is missed by more than `allowed_m`, although the bends allow every point ([`reach`](crate::reach)).
     pub(crate) fn miss(&self, allowed_m: f64) -> Option<(String, &'static str)> {
-        let is_beside = self.missed_clearance_m <= self.safe_distance_m + NEAR_M;
-        let (cause, remedy) = match self.missed_at {
-            Some(limit @ (HeldBack::Stroke { .. } | HeldBack::Bend(_))) => {
+        let beside = self.beside(self.missed_clearance_m);
+        let (cause, remedy) = match (self.missed_at, beside) {
+            (Some(limit @ (HeldBack::Stroke { .. } | HeldBack::Bend(_))), _) => {
                 (limit.to_string(), limit.remedy())
             }
             // A robot that goes round an obstacle may be at a limit of its speed, too: raising it would not help.
-            _ if is_beside => (
-                format!(
-                    "obstructed or too fast, beside an obstacle at {:.1} mm of the body",
-                    1e3 * self.missed_clearance_m
-                ),
-                "use another path, remove the obstacle (cdcrctl obstacle list), or use a lower --speed",
+            (_, Some(beside)) => (
+                format!("obstructed or too fast{beside}"),
+                "use another path, remove the obstacle, or use a lower --speed",
             ),
-            Some(limit) => (limit.to_string(), limit.remedy()),
-            None if self.along.clearance_m == f64::INFINITY => {
+            (Some(limit), None) => (limit.to_string(), limit.remedy()),
+            (None, None) if self.along.clearance_m == f64::INFINITY => {
                 ("too fast".to_owned(), "use a lower --speed")
             }
-            None => (
+            (None, None) => (
                 "too fast, or obstructed".to_owned(),
                 "use a lower --speed, or remove obstacles",
             ),
