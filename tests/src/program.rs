@@ -8,9 +8,13 @@ use std::time::Duration;
 
 use derive_more::{Deref, DerefMut};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, waitid};
 
 use crate::wait_for;
+
+/// Time for the threads of a process that has ended to leave the kernel. Linux 6.18 waits for them in a busy loop of whoever reaps the
+/// process, and without forced pre-emption that loop keeps every other ordinary thread off its core, them too: for tens of seconds.
+const THREADS_END: Duration = Duration::from_millis(5);
 
 /// A process of the test. Dropping it kills and reaps it, because a zombie is not dead for iceoryx2.
 #[derive(Debug)]
@@ -38,21 +42,38 @@ impl Running {
     }
 
     pub fn runs(&mut self) -> bool {
-        let status = self.0.try_wait().expect("it is our child");
-        status.is_none()
+        self.try_wait().is_none()
     }
 
     /// Waits for the end. After the time limit, fails with `words` in the report.
     pub fn wait(&mut self, words: impl Fn() -> String) -> ExitStatus {
         let words = || format!("the program does not end:\n{}", words());
-        wait_for(words, || self.0.try_wait().expect("it is our child"))
+        wait_for(words, || self.try_wait())
+    }
+
+    /// The status of a process that has ended.
+    fn try_wait(&mut self) -> Option<ExitStatus> {
+        self.has_ended(WaitIdOptions::NOHANG).then(|| self.reap())
+    }
+
+    fn has_ended(&self, options: WaitIdOptions) -> bool {
+        let options = options | WaitIdOptions::EXITED | WaitIdOptions::NOWAIT;
+        let ended = waitid(WaitId::Pid(Pid::from_child(&self.0)), options);
+        // Of a process that was reaped before, its status is known.
+        ended.map_or(true, |status| status.is_some())
+    }
+
+    fn reap(&mut self) -> ExitStatus {
+        std::thread::sleep(THREADS_END);
+        self.0.wait().expect("it is our child")
     }
 }
 
 impl Drop for Running {
     fn drop(&mut self) {
         let _ = self.0.kill();
-        let _ = self.0.wait();
+        self.has_ended(WaitIdOptions::empty());
+        self.reap();
     }
 }
 

@@ -85,17 +85,18 @@ pub(crate) fn choose(
 }
 
 /// The processes with a loop pinned to a core, and that core.
+///
+/// Of other programs no thread is looked at: the kernel would keep an entry for each, which it has to remove when the thread ends.
 fn loops(system: &System) -> Vec<(u32, usize)> {
     let is_named = |folder: &str, name: &str| {
         let comm = system.read(&format!("{folder}/comm"));
         comm.is_ok_and(|comm| comm == name)
     };
-    let is_loop = |process: u32, folder: &str| {
-        is_named(folder, "cdcr-cycle") && is_named(&format!("/proc/{process}"), "cdcrd")
-    };
-    let threads = system.threads();
-    let loops = threads.filter(|(process, _, folder)| is_loop(*process, folder));
-    let pinned = loops.filter_map(|(process, _, folder)| {
+    let daemons = system.processes().into_iter();
+    let daemons = daemons.filter(|process| is_named(&format!("/proc/{process}"), "cdcrd"));
+    let pinned = daemons.filter_map(|process| {
+        let mut threads = system.threads_of(process);
+        let (_, folder) = threads.find(|(_, folder)| is_named(folder, "cdcr-cycle"))?;
         let cores = system.allowed(&folder).ok()?;
         let core = cores.first().filter(|_| cores.len() == 1)?;
         Some((process, *core))

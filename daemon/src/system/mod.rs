@@ -139,11 +139,22 @@ impl System {
 
     /// Process, id and folder of every thread.
     pub(crate) fn threads(&self) -> impl Iterator<Item = (u32, u32, String)> {
-        self.numbers("/proc").into_iter().flat_map(|process| {
-            let folder = format!("/proc/{process}/task");
-            let ids = self.numbers(&folder).into_iter();
-            ids.map(move |id| (process, id, format!("{folder}/{id}")))
-        })
+        let of = |process| {
+            let threads = self.threads_of(process);
+            threads.map(move |(id, folder)| (process, id, folder))
+        };
+        self.processes().into_iter().flat_map(of)
+    }
+
+    /// Id and folder of every thread of a process.
+    pub(crate) fn threads_of(&self, process: u32) -> impl Iterator<Item = (u32, String)> + use<> {
+        let folder = format!("/proc/{process}/task");
+        let ids = self.numbers(&folder).into_iter();
+        ids.map(move |id| (id, format!("{folder}/{id}")))
+    }
+
+    pub(crate) fn processes(&self) -> Vec<u32> {
+        self.numbers("/proc")
     }
 
     /// The numeric names in a folder; none if it does not exist.
