@@ -189,6 +189,13 @@ int cdcr_driver_rates_at(CdcrDriver *driver, uint64_t now_ns, CdcrRates *rates);
  * that is Stopped or Faulted then: the motors hold. */
 int cdcr_driver_position_at(CdcrDriver *driver, uint64_t now_ns, CdcrPosition *position);
 
+/* States where the motors of positions stand before the first command, bends and cables: the last cdcr_driver_position_at that this
+ * driver gave them before it was started again. They stay there, and keep their distance from the robot, which a load has
+ * bent; without it they move to where the robot is measured. Do not call it where the motors were without torque. cdcr_driver_update
+ * refuses a first command more than 0.2 rad from it. CDCR_ERROR_ARGUMENT: a number is not finite or beyond the robot's limits,
+ * the cables are not those of the bends, or the driver obeys a command already. */
+int cdcr_driver_stand_at(CdcrDriver *driver, const CdcrPosition *place);
+
 /* Rests until the next command, which is then treated as the first and must match the last measurement. For motors whose
  * torque was off. Call it after the reset. */
 int cdcr_driver_forget(CdcrDriver *driver);

@@ -22,14 +22,12 @@ use cdcr_shared_types::{
 };
 
 use crate::code::Code;
-use crate::failure::{Failure, read_code, read_interface};
+use crate::failure::{Failure, check_pointer, read_code, read_interface};
 use crate::guard::{call, last_error, set_last_error};
 use crate::handles;
 use crate::layout::{Place, Position, Rates, Update, check_layout};
 use crate::place::locate;
 use crate::session::{Session, send_cable_lengths};
-
-const UNALIGNED: &str = "is not aligned as its type is";
 
 /// Memory of the caller for results, or NULL for none.
 struct Out<T> {
@@ -41,12 +39,7 @@ impl<T> Out<T> {
     /// # Safety
     /// The pointer rule at the top of this file.
     unsafe fn array(pointer: *mut T, capacity: usize, name: &str) -> Result<Self, Failure> {
-        if pointer.is_null() {
-            return Err(Failure::argument(format!("{name} is NULL")));
-        }
-        if !pointer.is_aligned() {
-            return Err(Failure::argument(format!("{name} {UNALIGNED}")));
-        }
+        check_pointer(pointer, name)?;
         Ok(Self { pointer, capacity })
     }
 
@@ -108,19 +101,14 @@ unsafe fn read_array<'a, T: Copy>(
     most: usize,
     name: &str,
 ) -> Result<&'a [T], Failure> {
-    let refused = |why: String| Err(Failure::argument(format!("{name} {why}")));
     if count > most {
-        return refused(format!("has {count} elements, and {most} are the most"));
+        let why = format!("{name} has {count} elements, and {most} are the most");
+        return Err(Failure::argument(why));
     }
     if count == 0 {
         return Ok(&[]);
     }
-    if pointer.is_null() {
-        return refused("is NULL".to_owned());
-    }
-    if !pointer.is_aligned() {
-        return refused(UNALIGNED.to_owned());
-    }
+    check_pointer(pointer, name)?;
     // SAFETY: not NULL, aligned, of limited size, with `count` elements that nobody changes, by the caller's
     // rule.
     Ok(unsafe { core::slice::from_raw_parts(pointer, count) })
@@ -486,6 +474,15 @@ unsafe extern "C" fn cdcr_driver_position_at(
         };
         out.write(commanded.into());
         Ok(Code::Ok)
+    })
+}
+
+#[unsafe(no_mangle)]
+unsafe extern "C" fn cdcr_driver_stand_at(driver: *mut Driver, place: *const Position) -> c_int {
+    call(|| {
+        // SAFETY: the rule of cdcr.h on pointers.
+        let place = unsafe { read(place, "place")? };
+        handles::with(driver, |driver| Ok(driver.stand_at(place.into())?))
     })
 }
 

@@ -1,6 +1,6 @@
 use core::fmt::Display;
 
-use cdcr_client::{ConnectError, LinkError, RequestError, StopError};
+use cdcr_client::{CommandRefusal, ConnectError, LinkError, RequestError, StopError};
 use cdcr_shared_types::Response;
 use cdcr_shared_types::codes::{Interface, UnknownCode};
 
@@ -27,6 +27,18 @@ impl Failure {
     pub(crate) fn argument(text: impl Display) -> Self {
         Self::new(Code::Argument, text)
     }
+}
+
+/// Refuses the argument `name` where no `T` can be.
+pub(crate) fn check_pointer<T>(pointer: *const T, name: &str) -> Result<(), Failure> {
+    if pointer.is_null() {
+        return Err(Failure::argument(format!("{name} is NULL")));
+    }
+    if !pointer.is_aligned() {
+        let why = format!("{name} is not aligned as its type is");
+        return Err(Failure::argument(why));
+    }
+    Ok(())
 }
 
 /// Converts the argument `name` from C to a code of the wire.
@@ -79,6 +91,13 @@ fn code_of(error: &LinkError) -> Code {
         | LinkError::Obstacles { .. }
         | LinkError::Misplaced { .. } => Code::Argument,
         LinkError::Memory { .. } | LinkError::Send { .. } | LinkError::Receive { .. } => Code::Link,
+    }
+}
+
+// Of a stated place: a refused command is no error.
+impl From<CommandRefusal> for Failure {
+    fn from(refusal: CommandRefusal) -> Self {
+        Self::argument(refusal)
     }
 }
 

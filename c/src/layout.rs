@@ -10,7 +10,7 @@ use crate::code::Code;
 use crate::failure::Failure;
 
 /// Incremented with every change of a function, or of a struct of `cdcr.h` that is not a message.
-const BORDER: u8 = 2;
+const BORDER: u8 = 3;
 
 /// `CDCR_LAYOUT`: a program compiled with the header of another version is refused. The versions in the
 /// message names change with the layout and the meaning of the messages.
@@ -111,6 +111,15 @@ impl From<CommandedRates> for Rates {
 
 impl From<CommandedPosition> for Position {
     fn from(position: CommandedPosition) -> Self {
+        Self {
+            bend_rad: position.bend_rad,
+            cable_length_m: position.cable_length_m,
+        }
+    }
+}
+
+impl From<Position> for CommandedPosition {
+    fn from(position: Position) -> Self {
         Self {
             bend_rad: position.bend_rad,
             cable_length_m: position.cable_length_m,

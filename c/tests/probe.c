@@ -26,10 +26,14 @@ static CdcrConnection *client(void) {
     return client;
 }
 
-static CdcrDriver *driver(void) {
+static CdcrDriver *driver_of(uint32_t interface) {
     CdcrDriver *driver = NULL;
-    IS(cdcr_driver_connect(CDCR_LAYOUT, NULL, CDCR_INTERFACE_VELOCITY, TIMEOUT_NS, &driver), CDCR_OK);
+    IS(cdcr_driver_connect(CDCR_LAYOUT, NULL, interface, TIMEOUT_NS, &driver), CDCR_OK);
     return driver;
+}
+
+static CdcrDriver *driver(void) {
+    return driver_of(CDCR_INTERFACE_VELOCITY);
 }
 
 static void places(void) {
@@ -91,6 +95,8 @@ static void handles(CdcrConnection *none, CdcrDriver *no_driver) {
     IS(cdcr_driver_send_cable_lengths(no_driver, 0, numbers, 9), CDCR_ERROR_HANDLE);
     IS(cdcr_driver_update(no_driver, &update), CDCR_ERROR_HANDLE);
     IS(cdcr_driver_position_at(no_driver, 0, &position), CDCR_ERROR_HANDLE);
+    memset(&position, 0, sizeof position);
+    IS(cdcr_driver_stand_at(no_driver, &position), CDCR_ERROR_HANDLE);
     IS(cdcr_driver_forget(no_driver), CDCR_ERROR_HANDLE);
     IS(cdcr_driver_rates_at(no_driver, 0, &rates), CDCR_ERROR_HANDLE);
     IS(rates.bend_rate_rad_s[0] == 0.0 && rates.cable_speed_m_s[0] == 0.0, 1);
@@ -287,15 +293,69 @@ static void away(void) {
     IS(cdcr_driver_close(moves), CDCR_OK);
 }
 
+/* Measures the bend of the first section until a position is commanded; a fault is reset. */
+static CdcrPosition position_of(CdcrConnection *open, CdcrDriver *moves, double bend_rad) {
+    CdcrMeasurement measurement = {.kind = CDCR_MEASUREMENT_KIND_CONFIGURATION, .sections = 3};
+    measurement.bend_rad[0] = bend_rad;
+    CdcrPosition position;
+    CdcrDriverUpdate update;
+    CdcrStatus status;
+    const uint64_t last_ns = cdcr_monotonic_ns() + TIMEOUT_NS;
+    for (;;) {
+        IS(cdcr_monotonic_ns() < last_ns, 1);
+        measurement.measured_ns = cdcr_monotonic_ns();
+        IS(cdcr_driver_send(moves, &measurement), CDCR_OK);
+        usleep(5000);
+        IS(cdcr_driver_update(moves, &update), CDCR_OK);
+        if (cdcr_driver_position_at(moves, cdcr_monotonic_ns(), &position) == CDCR_OK) return position;
+        IS(cdcr_status(open, TIMEOUT_NS, &status), CDCR_OK);
+        if (status.mode == CDCR_MODE_FAULTED) cdcr_reset(open, 1, TIMEOUT_NS, NULL);
+    }
+}
+
+/* The robot droops: it is measured beside its motors. A driver that is started again leaves them where they stand. */
+static void stands(void) {
+    CdcrConnection *open = client();
+    CdcrDriver *moves = driver_of(CDCR_INTERFACE_POSITION);
+    const CdcrPosition place = position_of(open, moves, 0.3);
+    IS(place.bend_rad[0] == 0.3, 1);
+    IS(cdcr_driver_close(moves), CDCR_OK);
+    moves = driver_of(CDCR_INTERFACE_POSITION);
+    CdcrPosition wrong[2] = {place, place};
+    SAYS(cdcr_driver_stand_at(moves, NULL), CDCR_ERROR_ARGUMENT, "place is NULL");
+    SAYS(cdcr_driver_stand_at(moves, (CdcrPosition *)(void *)((char *)wrong + 1)), CDCR_ERROR_ARGUMENT, "place is not aligned");
+    wrong[0].bend_rad[0] = 0.0 / 0.0;
+    SAYS(cdcr_driver_stand_at(moves, &wrong[0]), CDCR_ERROR_ARGUMENT, "not finite");
+    /* The bends alone, and millimetres. */
+    memset(wrong[0].cable_length_m, 0, sizeof wrong[0].cable_length_m);
+    wrong[0].bend_rad[0] = 0.3;
+    IS(cdcr_driver_stand_at(moves, &wrong[0]), CDCR_ERROR_ARGUMENT);
+    for (size_t i = 0; i < CDCR_CABLES_MAX; i++) wrong[1].cable_length_m[i] *= 1e3;
+    IS(cdcr_driver_stand_at(moves, &wrong[1]), CDCR_ERROR_ARGUMENT);
+    IS(cdcr_driver_stand_at(moves, &place), CDCR_OK);
+    const CdcrPosition first = position_of(open, moves, 0.2);
+    for (size_t i = 0; i < 9; i++) {
+        const double way_m = first.cable_length_m[i] - place.cable_length_m[i];
+        IS(way_m > -1e-12 && way_m < 1e-12, 1);
+    }
+    SAYS(cdcr_driver_stand_at(moves, &place), CDCR_ERROR_ARGUMENT, "obeys a command already");
+    /* Without a stated place they go to where the robot is measured. */
+    IS(cdcr_driver_close(moves), CDCR_OK);
+    moves = driver_of(CDCR_INTERFACE_POSITION);
+    IS(position_of(open, moves, 0.2).bend_rad[0] == 0.2, 1);
+    IS(cdcr_driver_close(moves), CDCR_OK);
+    IS(cdcr_close(open), CDCR_OK);
+}
+
 int main(int argc, char **argv) {
     const struct { const char *name; void (*run)(void); } cases[] = {
-        {"inputs", inputs}, {"threads", threads}, {"forks", forks}, {"lease", lease}, {"away", away}};
+        {"inputs", inputs}, {"threads", threads}, {"forks", forks}, {"lease", lease}, {"away", away}, {"stands", stands}};
     for (size_t i = 0; argc == 2 && i < sizeof cases / sizeof *cases; i++) {
         if (strcmp(argv[1], cases[i].name) == 0) {
             cases[i].run();
             return 0;
         }
     }
-    fprintf(stderr, "which case? inputs, threads, forks, lease or away\n");
+    fprintf(stderr, "which case? inputs, threads, forks, lease, away or stands\n");
     return 2;
 }

@@ -200,6 +200,14 @@ class Driver:
         measured_ns: when it was measured [ns, CLOCK_MONOTONIC, as time.monotonic_ns()]; now if left out.
         Raises ArgumentError for wrong shapes, NaN, and other than one measurement.
         """
+    def stand_at(self, /, cable_length: ArrayLike) -> None:
+        """
+        States where motors that obey positions stand before the first command: cable_length (3 n,) [m], the last cable_lengths() that this driver gave them before it was
+        started again. They stay there, and keep their distance from the robot, which a load has bent; without it they move to where the robot is measured.
+
+        Do not call it where the motors were without torque. A first command more than 0.2 rad from it is refused.
+        Raises ArgumentError for wrong shapes, NaN, a place beyond the limits of the robot, and after the first command.
+        """
 
 @final
 class Feed:

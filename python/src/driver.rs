@@ -1,9 +1,10 @@
 use std::ops::RangeInclusive;
 use std::time::Instant;
 
-use cdcr_client::{Driver, monotonic_ns};
+use cdcr_client::{CommandedPosition, Driver, monotonic_ns};
 use cdcr_controller::robot::Robot as Model;
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
+use cdcr_shared_types::limits::{CABLES_MAX, COORDINATES_MAX};
 use cdcr_shared_types::{Measurement, Service};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -46,6 +47,15 @@ impl DriverPort {
             robot: Robot { inner: model },
         })
     }
+
+    fn lengths_m(&self, lengths: &ArrayLike<'_>) -> PyResult<[f64; CABLES_MAX]> {
+        let (name, cables) = ("cable_length", self.robot.inner.cable_count());
+        let numbers = Numbers::exact(lengths, name, 1, &[cables], "3 cables for each section")?;
+        let numbers = numbers.finite(name)?;
+        let mut lengths_m = [0.0; CABLES_MAX];
+        lengths_m[..cables].copy_from_slice(numbers.values());
+        Ok(lengths_m)
+    }
 }
 
 #[pymethods]
@@ -71,16 +81,7 @@ impl DriverPort {
         };
         let kind = match (cable_length, bend, tip) {
             (Some(lengths), None, None) => {
-                let cables = self.robot.inner.cable_count();
-                let numbers = Numbers::exact(
-                    &lengths,
-                    "cable_length",
-                    1,
-                    &[cables],
-                    "3 cables for each section",
-                )?;
-                let numbers = numbers.finite("cable_length")?;
-                measurement.cable_length_m[..cables].copy_from_slice(numbers.values());
+                measurement.cable_length_m = self.lengths_m(&lengths)?;
                 MeasurementKind::CableLengths
             }
             (None, Some(bend), None) => {
@@ -148,6 +149,28 @@ impl DriverPort {
             Ok::<_, Failure>(driver.position_at(monotonic_ns()))
         })??;
         Ok(position.map(|at| Doubles::new(&[cables], &[], at.cable_length_m[..cables].to_vec())))
+    }
+
+    /// States where motors that obey positions stand before the first command: cable_length (3 n,) [m], the last cable_lengths() that this driver gave them before it was
+    /// started again. They stay there, and keep their distance from the robot, which a load has bent; without it they move to where the robot is measured.
+    ///
+    /// Do not call it where the motors were without torque. A first command more than 0.2 rad from it is refused.
+    /// Raises ArgumentError for wrong shapes, NaN, a place beyond the limits of the robot, and after the first command.
+    fn stand_at(&self, py: Python<'_>, cable_length: ArrayLike<'_>) -> PyResult<()> {
+        let cable_length_m = self.lengths_m(&cable_length)?;
+        let bends = self.robot.inner.bend_from_cable_lengths(&cable_length_m);
+        let bends = bends.as_slice();
+        let mut bend_rad = [0.0; COORDINATES_MAX];
+        bend_rad[..bends.len()].copy_from_slice(bends);
+        let place = CommandedPosition {
+            bend_rad,
+            cable_length_m,
+        };
+        let stated = self
+            .worker
+            .call_on_thread(py, move |driver| driver.stand_at(place))?;
+        let remedy = "Give the last cable_lengths() of the driver before [m], before this one sends its first measurement.";
+        Ok(stated.map_err(|refusal| Failure::argument(refusal, remedy))?)
     }
 
     /// Rests until the next command, which is then treated as the first and must match the last measurement. For motors whose torque was off: call it after the reset, before they follow again. Commands that wait are dropped.

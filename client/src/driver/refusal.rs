@@ -91,6 +91,12 @@ pub enum CommandRefusal {
         /// Largest distance of a bend component \[rad\].
         apart_rad: f64,
     },
+    /// A place of the motors is stated after the first command: they have moved with it.
+    #[error(
+        "the driver obeys a command already: state the place of its motors before the first one, or before the next one after it was made \
+         to forget"
+    )]
+    Begun,
     /// A bend is beyond its limit.
     #[error("section {section} is commanded to bend by {bend_rad} rad, the limit is {limit_rad}")]
     Bend {

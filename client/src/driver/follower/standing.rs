@@ -15,8 +15,12 @@ impl CommandFollower {
     /// were without torque. [`forget`](Self::forget) forgets it.
     ///
     /// # Errors
-    /// A number that is not finite, a place beyond the limits of the robot, and cables that are not those of the bends.
+    /// A number that is not finite, a place beyond the limits of the robot, cables that are not those of the bends, and a place
+    /// that is stated after the first command ([`CommandRefusal::Begun`]).
     pub fn stand_at(&mut self, place: CommandedPosition) -> Result<(), CommandRefusal> {
+        if self.present.is_some() {
+            return Err(CommandRefusal::Begun);
+        }
         let command = place.in_command(&Command::default());
         bounds::check(&self.robot, Interface::Position, &command, None)?;
         bounds::check_mean_lengths(&self.robot, &place.cable_length_m)?;

@@ -149,6 +149,14 @@ fn a_lease_of_another_is_a_refusal_and_one_of_a_program_that_ended_is_free() {
 }
 
 #[test]
+fn a_driver_in_c_that_is_started_again_leaves_its_motors_where_they_stand() {
+    let daemon = Daemon::start(&format!(
+        "{STALL_TOLERANT}[link]\nkind = \"driver\"\ninterface = \"position\"\nmeasurement_timeout_ms = 1000.0\n"
+    ));
+    Probe::start(&daemon, "stands").ends_well();
+}
+
+#[test]
 fn a_daemon_that_goes_away_is_silence_and_rest() {
     let mut daemon = Daemon::start(STALL_TOLERANT);
     let mut probe = Probe::start(&daemon, "away");

@@ -83,6 +83,11 @@ fn a_driver_that_states_where_its_motors_stand_moves_no_loaded_robot() {
         follower.forget();
         take(&mut follower, &in_mode(Mode::Holding, 2, COMMANDED_RAD)).unwrap();
         assert_eq!(sampled_at(&follower, 3.0).0, COMMANDED_RAD);
+        // They have moved: it is too late, and nothing is kept for later.
+        let late = follower.stand_at(place(stands_rad));
+        assert_eq!(late, Err(CommandRefusal::Begun));
+        take(&mut follower, &in_mode(Mode::Holding, 3, COMMANDED_RAD)).unwrap();
+        assert_eq!(sampled_at(&follower, 4.0).0, COMMANDED_RAD);
     }
 }
 
