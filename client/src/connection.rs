@@ -1,4 +1,5 @@
 use std::cell::{Cell, RefCell};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Interface, RequestKind};
@@ -115,6 +116,23 @@ impl Connection {
     pub fn status(&self, timeout: Duration) -> Result<Status, LinkError> {
         let status = self.status.borrow_mut().fresh_within(timeout)?;
         status.ok_or_else(|| self.silent(Service::Status, timeout))
+    }
+
+    /// Whether the daemon no longer waits for the silent source of obstacles `source_id` (`silent_obstacle_source` of its status), at most
+    /// `timeout` from now. A removal of the newest obstacle that it sent ends the wait, also of one that has expired. The daemon may then
+    /// wait for another source.
+    ///
+    /// # Errors
+    /// [`LinkError::Silent`] when the daemon sends no status.
+    pub fn ends_wait_for(&self, source_id: u64, timeout: Duration) -> Result<bool, LinkError> {
+        let until = Instant::now() + timeout;
+        while Instant::now() < until {
+            if self.status(timeout)?.silent_obstacle_source != source_id {
+                return Ok(true);
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+        Ok(false)
     }
 
     /// The error for a daemon that has sent nothing on `service` for so long, with the cause as far as it is found.

@@ -93,7 +93,8 @@ class Connection:
         """
     def remove_obstacles(self, /, ids: Sequence[int]) -> None:
         """
-        Removes obstacles by their numbers. Raises RequestError if the daemon refuses, and after the others are removed for one that it did not know.
+        Removes obstacles by their numbers. Raises RequestError if the daemon refuses, and after the others are removed for one that it did not know,
+        unless this ended its wait for the silent source that had sent it.
         """
     def reset(self, /, *, accept_pose: bool = False) -> None:
         """

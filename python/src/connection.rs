@@ -309,7 +309,8 @@ impl Connection {
         })
     }
 
-    /// Removes obstacles by their numbers. Raises RequestError if the daemon refuses, and after the others are removed for one that it did not know.
+    /// Removes obstacles by their numbers. Raises RequestError if the daemon refuses, and after the others are removed for one that it did not know,
+    /// unless this ended its wait for the silent source that had sent it.
     #[pyo3(signature = (ids: "Sequence[int]"))]
     fn remove_obstacles(&self, py: Python<'_>, ids: Vec<i128>) -> PyResult<()> {
         check_count(ids.len())?;

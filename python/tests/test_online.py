@@ -322,6 +322,27 @@ def test_a_forked_process_is_refused_and_a_spawned_one_works(daemon: Daemon) -> 
         spawned.join()
 
 
+def test_a_removal_that_ends_the_wait_for_a_silent_source_is_no_error() -> None:
+    """All that it sent has expired: the newest counts."""
+    daemon = Daemon("--set", "obstacles.source_timeout_ms=1500")
+    try:
+        with daemon.connect() as connection, daemon.connect() as source:
+            source.set_obstacles({7: cdcr.Obstacle.sphere([0.5, 0, 0.5], 0.05)}, lifetime_s=0.5)
+            time.sleep(0.6)
+            source.set_obstacles({})
+            eventually(lambda: newest(connection)["obstacle_count"] == 0)
+            eventually(lambda: connection.status()["silent_obstacle_source"] != 0)
+            with pytest.raises(cdcr.RequestError, match="no obstacle 8 was known"):
+                connection.remove_obstacles([8])
+            assert connection.status()["silent_obstacle_source"] != 0
+            connection.remove_obstacles([7])
+            assert connection.status()["silent_obstacle_source"] == 0
+            with pytest.raises(cdcr.RequestError, match="no obstacle 7 was known"):
+                connection.remove_obstacles([7])
+    finally:
+        daemon.end()
+
+
 def test_nothing_is_printed(daemon: Daemon) -> None:
     text = "import cdcr\nwith cdcr.connect() as c: c.telemetry(0.1); c.set_obstacles({1: cdcr.Obstacle.sphere([1, 0, 0], 0.1)})"
     ran = daemon.run(sys.executable, "-c", "import time; time.sleep(0.5)\n" + text.replace("connect()", f"connect(timeout_s={TIMEOUT_S})"))

@@ -5,8 +5,7 @@ mod scene;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::io::Write as _;
-use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{anyhow, bail};
 use cdcr_client::{
@@ -50,7 +49,7 @@ pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<
             let Some(unknown) = unknown_text(ids, &before) else {
                 return Ok(Done::Good);
             };
-            if silent == 0 || !is_wait_over(&connection, silent)? {
+            if silent == 0 || !connection.ends_wait_for(silent, TIMEOUT)? {
                 bail!("{unknown}; the known ones: cdcrctl obstacle list");
             }
             writeln!(
@@ -133,19 +132,6 @@ fn unknown_text(ids: &[u32], before: &[Obstacle]) -> Option<String> {
         unknown.join(", ")
     );
     (!unknown.is_empty()).then_some(text)
-}
-
-/// Whether the daemon waits no longer for a silent source: a remove of the newest obstacle that it sent ends that, also when that
-/// has expired. It may then wait for another one.
-fn is_wait_over(connection: &Connection, silent: u64) -> anyhow::Result<bool> {
-    let until = Instant::now() + TIMEOUT;
-    while Instant::now() < until {
-        if connection.status(TIMEOUT)?.silent_obstacle_source != silent {
-            return Ok(true);
-        }
-        sleep(Duration::from_millis(10));
-    }
-    Ok(false)
 }
 
 /// What a clear has removed: this command has added none of it.
