@@ -48,7 +48,7 @@ class Connection:
         """
     def close(self, /) -> None:
         """
-        Closes the connection, and gives back everything that it had. Its feeds and streams end by themselves, and the robot then holds. Afterwards everything but stop() raises
+        Closes the connection, and gives back everything that it had. Ends its feeds and streams, and waits until the robot holds, at most 4 s. Afterwards everything but stop() raises
         LinkError. Closing twice changes nothing.
         """
     def driver(self, /, interface: Interface = "velocity") -> Driver:

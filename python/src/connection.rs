@@ -371,10 +371,10 @@ impl Connection {
         )
     }
 
-    /// Closes the connection, and gives back everything that it had. Its feeds and streams end by themselves, and the robot then holds. Afterwards everything but stop() raises
+    /// Closes the connection, and gives back everything that it had. Ends its feeds and streams, and waits until the robot holds, at most 4 s. Afterwards everything but stop() raises
     /// LinkError. Closing twice changes nothing.
-    fn close(&self, py: Python<'_>) {
-        self.worker.close(py);
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        self.worker.close(py)
     }
 
     fn __enter__(slf: Py<Self>) -> PyResult<Py<Self>> {
@@ -390,8 +390,8 @@ impl Connection {
         _kind: Option<Py<PyAny>>,
         _error: Option<Py<PyAny>>,
         _trace: Option<Py<PyAny>>,
-    ) {
-        self.worker.close(py);
+    ) -> PyResult<()> {
+        self.worker.close(py)
     }
 
     fn __repr__(&self) -> String {

@@ -203,8 +203,8 @@ impl DriverPort {
     }
 
     /// Closes the ports. Closing twice changes nothing.
-    fn close(&self, py: Python<'_>) {
-        self.worker.close(py);
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        self.worker.close(py)
     }
 
     fn __enter__(slf: Py<Self>) -> PyResult<Py<Self>> {
@@ -219,8 +219,8 @@ impl DriverPort {
         _kind: Option<Py<PyAny>>,
         _error: Option<Py<PyAny>>,
         _trace: Option<Py<PyAny>>,
-    ) {
-        self.worker.close(py);
+    ) -> PyResult<()> {
+        self.worker.close(py)
     }
 
     fn __repr__(&self) -> String {

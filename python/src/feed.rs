@@ -132,12 +132,12 @@ impl Feed {
 impl Feed {
     fn __enter__(slf: Bound<'_, Self>) -> PyResult<Bound<'_, Self>> {
         let feed = slf.get();
-        feed.shared.closed.check()?;
         let (address, source, options) = (feed.address.clone(), feed.source.clone(), feed.options);
         let shared = Arc::clone(&feed.shared);
         let run = move |begun: &Sender<bool>| run(&address, &source, options, &shared, begun);
         let give_up = || feed.shared.stop.store(true, Ordering::Relaxed);
-        feed.running.begin(slf.py(), run, give_up)?;
+        feed.running
+            .begin(slf.py(), &feed.shared.closed, run, give_up)?;
         Ok(slf)
     }
 

@@ -22,10 +22,10 @@ use crate::address::Address;
 use crate::arrays::{ArrayLike, Numbers, shape_text};
 use crate::errors::{Class, Failure};
 use crate::numbers::SECONDS;
-use crate::running::{Running, TURN, exit_result, wait_until_holding};
+use crate::running::{Running, exit_result, wait_until_holding};
 use crate::trajectory::{orientations, wire_interpolation};
 use crate::words::{INTERPOLATIONS, chosen};
-use crate::worker::{Closed, forked};
+use crate::worker::{Closed, TURN, forked};
 
 /// Counts of a stream of points.
 #[derive(Default)]
@@ -61,7 +61,6 @@ struct Points {
 impl FeedStream {
     fn __enter__(slf: Bound<'_, Self>) -> PyResult<Bound<'_, Self>> {
         let stream = slf.get();
-        stream.closed.check()?;
         let (port, orders) = channel();
         let desk = StreamThread {
             orders,
@@ -73,7 +72,7 @@ impl FeedStream {
         };
         let run = move |begun: &Sender<bool>| desk.serve(&desk.address.open()?, begun);
         // An interrupt drops the port, which ends the thread.
-        stream.running.begin(slf.py(), run, || ())?;
+        stream.running.begin(slf.py(), &stream.closed, run, || ())?;
         *stream.lock() = Some(Points {
             port,
             start_ns: monotonic_ns(),

@@ -13,10 +13,8 @@ use pyo3::prelude::*;
 
 use crate::address::Address;
 use crate::errors::{Class, Failure};
-use crate::worker::{ended, forked, refuse_forked_process, sleep_until, spawn, wait};
+use crate::worker::{Closed, TURN, ended, forked, refuse_forked_process, sleep_until, spawn, wait};
 
-/// Interval between checks of a feeding thread, and of Python waiting for one: about one cycle.
-pub(crate) const TURN: Duration = Duration::from_millis(5);
 /// Time limit for the robot to hold after the lease is returned, on a machine that stalls.
 const HOLDS_WITHIN: Duration = Duration::from_secs(2);
 
@@ -43,15 +41,17 @@ impl<T: Clone + Send + 'static> Running<T> {
         }
     }
 
-    /// Starts the thread, and waits until it reports true when it has begun. When Python is interrupted
-    /// meanwhile, `give_up` ends the thread.
+    /// Starts the thread, unless the connection is closed, and waits until it reports true when it has begun. When Python is
+    /// interrupted meanwhile, `give_up` ends the thread.
     pub(crate) fn begin(
         &self,
         py: Python<'_>,
+        closed: &Closed,
         run: impl FnOnce(&Sender<bool>) -> Result<T, Failure> + Send + 'static,
         give_up: impl FnOnce(),
     ) -> PyResult<()> {
         refuse_forked_process()?;
+        let awaited = closed.begin_thread()?;
         let (begun, has_begun) = channel();
         {
             let mut stage = self.stage()?;
@@ -61,6 +61,7 @@ impl<T: Clone + Send + 'static> Running<T> {
             *stage = Stage::Runs(spawn("cdcr-feed", move || {
                 let outcome = run(&begun);
                 let _ = begun.send(false);
+                drop(awaited);
                 outcome
             })?);
         }

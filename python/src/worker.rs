@@ -2,7 +2,7 @@
 //! the interpreter's lock, and checks for signals while it waits.
 
 use std::process;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -17,6 +17,11 @@ pub(crate) const SIGNALS_EACH: Duration = Duration::from_millis(50);
 /// Longest job of a thread with other work, or one that may be closed meanwhile: longer ones are divided.
 pub(crate) const SLICE: Duration = Duration::from_millis(20);
 
+/// Interval between checks of other threads, and of Python waiting for one: about one cycle.
+pub(crate) const TURN: Duration = Duration::from_millis(5);
+/// Time limit for the feeds of a closed connection. They wait 2 s for the robot to hold.
+const THREADS_END_WITHIN: Duration = Duration::from_secs(4);
+
 type Job<D> = Box<dyn FnOnce(&mut D) + Send>;
 
 /// The thread with its desk, which is created and dropped on it.
@@ -28,11 +33,18 @@ pub(crate) struct Worker<D: 'static> {
 
 /// Whether close() was called, for what was made from a connection and has a thread of its own.
 #[derive(Clone, Default)]
-pub(crate) struct Closed(Arc<AtomicBool>);
+pub(crate) struct Closed {
+    is_set: Arc<AtomicBool>,
+    /// Such threads that run.
+    threads: Arc<AtomicUsize>,
+}
+
+/// A thread that close() waits for, until this is dropped.
+pub(crate) struct AwaitedThread(Closed);
 
 impl Closed {
     pub(crate) fn is_set(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        self.is_set.load(Ordering::SeqCst)
     }
 
     pub(crate) fn check(&self) -> Result<(), Failure> {
@@ -40,6 +52,28 @@ impl Closed {
             return Err(closed());
         }
         Ok(())
+    }
+
+    /// Counts before it checks: close() either sees the thread or refuses it.
+    pub(crate) fn begin_thread(&self) -> Result<AwaitedThread, Failure> {
+        self.threads.fetch_add(1, Ordering::SeqCst);
+        let thread = AwaitedThread(self.clone());
+        self.check()?;
+        Ok(thread)
+    }
+
+    fn wait_for_threads(&self, py: Python<'_>) -> PyResult<()> {
+        let until = Instant::now() + THREADS_END_WITHIN;
+        while self.threads.load(Ordering::SeqCst) > 0 && Instant::now() < until {
+            sleep_until(py, Instant::now() + TURN)?;
+        }
+        Ok(())
+    }
+}
+
+impl Drop for AwaitedThread {
+    fn drop(&mut self) {
+        self.0.threads.fetch_sub(1, Ordering::SeqCst);
     }
 }
 
@@ -126,12 +160,13 @@ impl<D: 'static> Worker<D> {
         &self.closed
     }
 
-    /// Ends the thread, and waits until it has dropped everything. A second call has no effect.
-    pub(crate) fn close(&self, py: Python<'_>) {
+    /// Ends the thread, waits until it has dropped everything, and then for the threads of what was made from it. A second call
+    /// waits for these only.
+    pub(crate) fn close(&self, py: Python<'_>) -> PyResult<()> {
         if self.process_id != process::id() {
-            return;
+            return Ok(());
         }
-        self.closed.0.store(true, Ordering::Relaxed);
+        self.closed.is_set.store(true, Ordering::SeqCst);
         let open = self
             .open
             .lock()
@@ -140,6 +175,7 @@ impl<D: 'static> Worker<D> {
         if let Some(open) = open {
             py.detach(|| end(open));
         }
+        self.closed.wait_for_threads(py)
     }
 }
 

@@ -137,6 +137,22 @@ def test_a_closed_connection_moves_nothing(daemon: Daemon) -> None:
         eventually(lambda: other.status()["mode"] is cdcr.Mode.STOPPED)
 
 
+def test_a_close_waits_for_its_feeds(daemon: Daemon) -> None:
+    """A daemon that does not answer delays their end."""
+    connection = daemon.connect()
+    t, xyz = curve(connection.robot(), 60.0)
+    feed = connection.feed(t, xyz)
+    feed.__enter__()
+    daemon.process.send_signal(signal.SIGSTOP)
+    os.waitpid(daemon.process.pid, os.WUNTRACED)
+    try:
+        connection.close()
+        with pytest.raises(cdcr.Error):
+            feed.wait(0.3)
+    finally:
+        daemon.process.send_signal(signal.SIGCONT)
+
+
 def test_what_the_daemon_says_to_the_last_points_is_raised_by_leaving(daemon: Daemon) -> None:
     with daemon.connect() as connection:
         for track in (True, False):
