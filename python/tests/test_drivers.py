@@ -204,3 +204,15 @@ def test_commands_that_a_driver_must_not_follow_are_refused_and_counted() -> Non
             assert "set link.interface" in (wrong.last_refusal() or "") and right.last_refusal() is None
     finally:
         daemon.end()
+
+
+def test_refused_measurements_are_counted_by_their_cause() -> None:
+    """Millimetres: there is no command, and so no refused one."""
+    daemon = Daemon("--set", "link.kind=driver")
+    try:
+        with daemon.connect() as connection, connection.driver() as driver:
+            driver.send(cable_length=1e3 * driver.robot.cables(np.zeros(6)))
+            eventually(lambda: connection.status()["outcomes"][cdcr.Outcome.CABLE_MEAN] > 0)
+            assert driver.next_command(0.1) is None and driver.last_refusal() is None
+    finally:
+        daemon.end()
