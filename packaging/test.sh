@@ -91,7 +91,7 @@ for file in /etc/cdcr/cdcr.toml /etc/security/limits.d/cdcr.conf /usr/lib/system
   /usr/lib/sysusers.d/cdcr.conf /usr/lib/udev/rules.d/60-cdcr.rules; do
   expect 644 root:root "$file"
 done
-dpkg-query --show --showformat='${Conffiles}\n' cdcr | grep -q /etc/cdcr/cdcr.toml || fail "the configuration is no conffile"
+dpkg-query --show --showformat='${Conffiles}\n' cdcr | grep -q /etc/cdcr/cdcr.toml || fail "the configuration is not a conffile"
 # Read completely first: grep -q ends at its first match, and the writing dpkg would then fail the pipe.
 files=$(dpkg --listfiles cdcr)
 # An image without documentation leaves these out (dpkg's path-exclude).

@@ -80,7 +80,7 @@
 /* Input events reported in one telemetry record: as many as one gather and its cycle can bring. */
 #define CDCR_EVENTS_MAX 24
 
-/* Bad cycles that are kept whole for whoever asks: 1 MB. */
+/* Bad cycles kept in full for clients that ask: 1 MB. */
 #define CDCR_INCIDENTS_MAX 64
 
 /* Time for which a first tip of a driver awaits bends or cables [ms]. After it, the driver measures the tip
@@ -1082,11 +1082,11 @@ typedef struct CdcrTelemetry {
      * period later. */
     double commanded_rad[12];
     /* 14888: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
-     * from every commanded one of the last following_lag_ns, so that a lag of the motors up to that is no error.
+     * from every commanded one of the last following_lag_ns, so that a lag of the motors up to that is not an error.
      * Zero while only the tip is measured. */
     double following_error_rad[6];
     /* 14936: used: 3 * command.sections. The same of each cable [m]. Where positions are obeyed and lengths
-     * measured, with the difference of the section's mean length from the commanded one, which is no error of a
+     * measured, with the difference of the section's mean length from the commanded one, which is not an error of a
      * bend. */
     double following_error_m[18];
     /* 15080: A following error above this is a warning [rad]. */
@@ -1120,8 +1120,8 @@ typedef struct CdcrTelemetry {
     /* 15576: Largest speed of a tip that is behind its reference and returns to it, in the newest cycle that solved
      * [m/s]; infinite: no limit. */
     double pace_m_s;
-    /* 15584: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is no
-     * fault then. */
+    /* 15584: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is
+     * not a fault then. */
     uint32_t control_begins;
     /* 15588: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
     uint32_t moves_to_begin;

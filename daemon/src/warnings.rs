@@ -182,7 +182,7 @@ fn of_checks(config: &Config, all: &mut Vec<String>) {
             "safety.measurement_frozen_rad = {}: a bend can be commanded by {unmeasured_rad:.3} rad within link.measurement_timeout_ms = {}, \
              so that a late measurement counts as frozen", safety.measurement_frozen_rad, link.measurement_timeout_ms;
         safety.clearance_fault_m < 0.0 =>
-            "safety.clearance_fault_m = {}: a body up to {} m inside an obstacle is no fault", safety.clearance_fault_m, -safety.clearance_fault_m;
+            "safety.clearance_fault_m = {}: a body up to {} m inside an obstacle is not a fault", safety.clearance_fault_m, -safety.clearance_fault_m;
         safety.cable_common_m == 0.0 =>
             "safety.cable_common_m = 0: where cable lengths are measured, a broken or slack cable is not detected";
         safety.cable_common_m > bend_m =>

@@ -65,7 +65,7 @@ limits! {
     /// Input events reported in one telemetry record: as many as one gather and its cycle can bring.
     EVENTS_MAX: usize = 24;
 
-    /// Bad cycles that are kept whole for whoever asks: 1 MB.
+    /// Bad cycles kept in full for clients that ask: 1 MB.
     INCIDENTS_MAX: usize = 64;
 
     /// Time for which a first tip of a driver awaits bends or cables \[ms\]. After it, the driver measures the tip alone.

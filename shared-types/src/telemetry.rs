@@ -264,10 +264,10 @@ message! {
         /// Commanded bend vector at the release \[rad\]: `command.bend_target_rad` is one period later.
         commanded_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// Following error of each section \[rad\]: how far the measured bend vector is from every commanded one of the last
-        /// `following_lag_ns`, so that a lag of the motors up to that is no error. Zero while only the tip is measured.
+        /// `following_lag_ns`, so that a lag of the motors up to that is not an error. Zero while only the tip is measured.
         following_error_rad: [f64; SECTIONS_MAX] [used 1 command.sections],
         /// The same of each cable \[m\]. Where positions are obeyed and lengths measured, with the difference of the section's mean length from the
-        /// commanded one, which is no error of a bend.
+        /// commanded one, which is not an error of a bend.
         following_error_m: [f64; CABLES_MAX] [used 3 command.sections],
         /// A following error above this is a warning \[rad\].
         following_warning_rad: f64,
@@ -296,7 +296,7 @@ message! {
         approach_distance_m: f64,
         /// Largest speed of a tip that is behind its reference and returns to it, in the newest cycle that solved \[m/s\]; infinite: no limit.
         pace_m_s: f64,
-        /// 1 where a latched mode was left and control has not begun since: a following error is no fault then.
+        /// 1 where a latched mode was left and control has not begun since: a following error is not a fault then.
         control_begins: u32 [yes],
         /// 1 while the commanded position moves to where control begins after a reset.
         moves_to_begin: u32 [yes],

@@ -133,7 +133,7 @@ impl Place {
 pub fn asked<T: FromStr>(variable: &str) -> Option<T> {
     let text = std::env::var(variable).ok()?;
     let Ok(number) = text.parse() else {
-        panic!("{variable} = {text:?} is no such number");
+        panic!("{variable} = {text:?} is not a valid number");
     };
     Some(number)
 }

@@ -75,9 +75,9 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
     let how = if realtime { "" } else { refused };
     let mut dataset = Dataset::new("footprint", include_str!("footprint.toml"));
     dataset.fact("realtime", realtime);
-    let mut figures = Vec::new();
-    for (what, unit, key) in dataset.table("figures").metrics.clone() {
-        figures.extend(figure(&mut dataset, [&what, &key, &unit], &rounds));
+    let mut quantities = Vec::new();
+    for (what, unit, key) in dataset.table("quantities").metrics.clone() {
+        quantities.extend(quantity(&mut dataset, [&what, &key, &unit], &rounds));
     }
     let (threads, programs) = (threads(&rounds), programs());
     for thread in &threads {
@@ -92,14 +92,18 @@ fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
     }
     dataset.plot("footprint", &[bars(&threads)])?;
     let count = rounds.len().to_string();
-    dataset.add_titled("figures", &[&count, how], figures);
+    dataset.add_titled("quantities", &[&count, how], quantities);
     dataset.add_titled("threads", &[how], threads);
     dataset.add("programs", programs);
     dataset.add("rounds", rounds);
     Ok(dataset)
 }
 
-fn figure(dataset: &mut Dataset, [what, key, unit]: [&str; 3], rounds: &[Value]) -> Option<Value> {
+fn quantity(
+    dataset: &mut Dataset,
+    [what, key, unit]: [&str; 3],
+    rounds: &[Value],
+) -> Option<Value> {
     let (middle, (least, most)) = (median(each(rounds, key))?, range(each(rounds, key))?);
     let metric = format!("footprint/{key}");
     let mut targets = dataset.declaration.targets.iter();
@@ -189,10 +193,10 @@ mod tests {
             json!(rows.iter().map(row).collect::<Vec<Vec<_>>>())
         };
         let keys = ["median", "least", "most", "reached"];
-        let figures = of(found.rows("figures"), &keys);
+        let quantities = of(found.rows("quantities"), &keys);
         let expected =
             "[[2.5,1.5,9.5,true],[4.096,4.096,4.096,false],[0.0,0.0,0.0,true],[1.0,1.0,1.0,null]]";
-        assert_eq!(figures.to_string(), expected);
+        assert_eq!(quantities.to_string(), expected);
         let reached = of(&found.all_targets(), &["reached"]);
         assert_eq!(reached, json!([[true], [false], [true]]));
         let threads = of(found.rows("threads"), &["name", "tracking_us_per_cycle"]);

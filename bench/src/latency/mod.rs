@@ -67,7 +67,7 @@ impl LatencyOptions {
         let period_ms = self.period.map(|period| period.as_secs_f64() * 1e3);
         Launch::stall_tolerant(self.config.clone())
             .with("link.kind", link)
-            // A stall is no sensor failure. The driver measures the target of its newest command.
+            // A stall is not a sensor failure. The driver measures the target of its newest command.
             .with("link.measurement_timeout_ms", "10000.0")
             .with("safety.measurement_jump_rad", "1000.0")
             .with("safety.measurement_frozen_rad", "1000.0")

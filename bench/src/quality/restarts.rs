@@ -42,7 +42,7 @@ const ARRIVED_MM: f64 = 10.0;
 const SOLVES_MAX: u32 = 20;
 /// Solves without progress that end it: more than one, because each has other random numbers.
 const IDLE_SOLVES_MAX: u32 = 2;
-/// A smaller decrease of the cost, as a share, is no progress.
+/// A smaller decrease of the cost, as a share, does not count as progress.
 const PROGRESS_SHARE: f64 = 1e-4;
 /// Largest absolute rate of a random plan \[rad/s\].
 const RANDOM_RATE_RAD_S: f64 = 2.0;

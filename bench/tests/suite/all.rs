@@ -92,8 +92,8 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     }
     needs_nothing_else(&page);
 
-    // A report with fewer results goes beside it, even if benchmarks were renamed; a failed result is no
-    // loss.
+    // A report with fewer results goes beside it, even if benchmarks were renamed; a failed result does not count as
+    // lost.
     let mut older = report;
     older["renamed"] = json!({ "cases": [] });
     older["failing"] = json!({ "error": "no luck" });

@@ -31,17 +31,17 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     let first_ms = ms("first_release_ms");
     let least_ms = ms("ready_ms").min(ms("first_record_ms"));
     assert!(0.0 < first_ms && first_ms < least_ms, "{start}");
-    let figure = |key: &str| number(row(&document, "figures", "key", key), "median");
-    let parts = figure("own_mb") + figure("shared_mb") + figure("file_mb");
-    assert!((figure("resident_mb") - parts).abs() < 1e-6);
-    assert!(figure("peak_mb") >= figure("resident_mb"));
-    let steps = ["growth_idle_kb", "growth_by_client_kb", "growth_kb"].map(figure);
+    let quantity = |key: &str| number(row(&document, "quantities", "key", key), "median");
+    let parts = quantity("own_mb") + quantity("shared_mb") + quantity("file_mb");
+    assert!((quantity("resident_mb") - parts).abs() < 1e-6);
+    assert!(quantity("peak_mb") >= quantity("resident_mb"));
+    let steps = ["growth_idle_kb", "growth_by_client_kb", "growth_kb"].map(quantity);
     let added_mb = 1e-3 * steps.iter().sum::<f64>();
-    assert!((figure("resident_start_mb") + added_mb - figure("resident_mb")).abs() < 1e-6);
+    assert!((quantity("resident_start_mb") + added_mb - quantity("resident_mb")).abs() < 1e-6);
     // The daemon's report agrees with the kernel's count.
-    let is_locked = figure("locked_mb") > 0.0;
-    assert!((figure("locked") - f64::from(is_locked)).abs() < 1e-9);
-    assert!(figure("memory_files") > 0.0 && figure("root_files") > 0.0);
+    let is_locked = quantity("locked_mb") > 0.0;
+    assert!((quantity("locked") - f64::from(is_locked)).abs() < 1e-9);
+    assert!(quantity("memory_files") > 0.0 && quantity("root_files") > 0.0);
     assert_eq!(list(&document, "programs").len(), 3);
 
     assert_eq!(folder.path().read_dir().unwrap().count(), 0);
@@ -55,5 +55,5 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     assert!(used("cdcr-cycle") > 0.0 && used("cdcr-exchange") > 0.0 && used("cdcrd") > 0.0);
 
     let sum = used("cdcr-cycle") + used("cdcr-exchange");
-    assert!((figure("core_tracking_percent") - sum).abs() < 1e-9);
+    assert!((quantity("core_tracking_percent") - sum).abs() < 1e-9);
 }

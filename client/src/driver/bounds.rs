@@ -17,7 +17,7 @@ pub(super) fn sections(robot: &RobotDescription) -> &[SectionDescription] {
 /// Refuses numbers that are not finite, and values obeyed by `interface` that are beyond a limit.
 ///
 /// Other values move no motor and are not checked against limits. A position beyond a limit is accepted if it
-/// is no farther out than `standing`, so that the robot can return.
+/// is not farther out than `standing`, so that the robot can return.
 pub(super) fn check(
     robot: &RobotDescription,
     interface: Interface,

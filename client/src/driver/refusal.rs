@@ -140,7 +140,7 @@ pub enum CommandRefusal {
         limit_m_s: f64,
     },
     /// The end of a section is beyond 1.5 times its largest speed. The daemon limits the speed of the robot's estimated shape, so a
-    /// smaller excess is no error.
+    /// smaller excess is not an error.
     #[error(
         "the end of a section is commanded at {speed_m_s:.3} m/s, the limit was {limit_m_s} m/s when this driver was opened: start the driver \
          again if the limit of the daemon was changed"

@@ -14,7 +14,7 @@ use super::motion::Motion;
 use crate::reference::{ReferenceSample, ReferenceState};
 use crate::robot::{COORDINATES_MAX, Robot};
 
-/// Largest α \[1/s\]. A jump of the reference is no reason for fast rates.
+/// Largest α \[1/s\]. A jump of the reference is not a reason for fast rates.
 const PER_S_MAX: f64 = 1.0;
 
 /// The controls of u₀ in each block.

@@ -1,6 +1,6 @@
 //! One section: an arc of constant curvature as a function of its bend vector (§1 of docs/model.md).
 //!
-//! Everything is derived from five functions of w = θ². All are entire, so the straight section is no singularity. Two
+//! Everything is derived from five functions of w = θ². All are entire, so the straight section is not a singularity. Two
 //! of them suffice, `h = (θ - sin θ)/θ³` and `k = (1/2 - g)/w`, because
 //! ```text
 //! f = 1 - w h     g = 1/2 - w k     f' = (h - g)/2     g' = k - h/2         (' = d/dw)

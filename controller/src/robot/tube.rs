@@ -7,7 +7,7 @@
 //! d = √(q² + y²)                                    distance from the circle
 //! a = atan2(Z, X)                                   angle of the circle's nearest point from the start
 //! ```
-//! None of these divides by κ or cancels as κ → 0, so the straight section is no special case. For θ ≤ π, the foot is on the arc if the
+//! None of these divides by κ or cancels as κ → 0, so the straight section is not a special case. For θ ≤ π, the foot is on the arc if the
 //! point lies between the planes across its two ends. Otherwise the nearer end is the nearest point.
 //!
 //! **Segment.** Along a line with velocity (x', y', z') of square L² = x'² + y'² + z'², G = d²/2 has

@@ -13,7 +13,7 @@ const GAP_MAX_S: f64 = 0.01;
 /// Supervision of the measured bends against the limits of their sections. Noise of the sensors is averaged.
 #[derive(Debug, Clone, Copy)]
 pub struct BendLimitWatch {
-    /// Noise of a measured bend that is no fault \[rad\].
+    /// Noise of a measured bend that is not a fault \[rad\].
     noise_rad: f64,
     measured: Configuration,
     average: Configuration,

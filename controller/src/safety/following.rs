@@ -29,7 +29,7 @@ pub struct FollowingError {
     /// By section \[rad\].
     pub bend_rad: [f64; SECTIONS_MAX],
     /// By cable \[m\]: positive where it is longer than commanded. Where lengths are measured and positions obeyed, also by what the three
-    /// cables of a section differ by together, which is no error of a bend.
+    /// cables of a section differ by together, which is not an error of a bend.
     pub cable_m: [f64; CABLES_MAX],
 }
 

@@ -40,7 +40,7 @@ fn circle(posture_gain: f64) -> Rounds {
 }
 
 /// What was measured since the last such row.
-struct Row {
+struct RoundRow {
     /// Ends of the first two sections \[m\].
     ends_m: [Vector3<f64>; 2],
     tip_mean_mm: f64,
@@ -50,7 +50,7 @@ struct Row {
 
 impl Rounds {
     /// A row at each of these times, in rounds.
-    fn follow(&self, until_rounds: &[f64]) -> Vec<Row> {
+    fn follow(&self, until_rounds: &[f64]) -> Vec<RoundRow> {
         let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
         let start = Configuration::from_bend_angles(&self.start_rad);
         let start_m = robot.tip_position(&start);
@@ -84,7 +84,7 @@ impl Rounds {
                 clearance_min_m = clearance_min_m.min(closed.clearance_m());
             }
             let frames = robot.section_frames(closed.configuration());
-            Row {
+            RoundRow {
                 ends_m: [1, 2].map(|section| frames[section].position_m),
                 tip_mean_mm: 1e3 * sum_m / cycles,
                 tip_max_mm: 1e3 * max_m,
@@ -96,7 +96,7 @@ impl Rounds {
 }
 
 /// Largest distance between the ends of the first two sections (mm).
-fn apart_mm(a: &Row, b: &Row) -> f64 {
+fn apart_mm(a: &RoundRow, b: &RoundRow) -> f64 {
     let ends = a.ends_m.iter().zip(b.ends_m);
     1e3 * ends.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
 }

@@ -306,7 +306,7 @@ mod tests {
     fn a_root_folder_on_a_disk_is_warned_of_and_not_created() {
         let memory = Scratch::in_memory().unwrap();
         assert_eq!(warning(&memory.path().join("a/root")), None);
-        // A file system that is no tmpfs, on every Linux.
+        // A file system that is not a tmpfs, on every Linux.
         let root = Path::new("/proc/cdcr/root");
         let text = warning(root).unwrap();
         assert!(

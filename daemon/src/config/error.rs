@@ -16,7 +16,7 @@ impl ConfigError {
     pub(super) fn new(place: Option<&str>, key: &str, message: impl Display) -> Self {
         let message = message.to_string();
         let (key, message) = (short(key), short(message.trim_end()));
-        Self::at(place, format_args!("{key}: {message}"))
+        Self::with_place(place, format_args!("{key}: {message}"))
     }
 
     pub(super) fn unknown(place: Option<&str>, key: &str) -> Self {
@@ -24,10 +24,10 @@ impl ConfigError {
             Some(key) => format!("did you mean {key}?"),
             None => "see `cdcrd config default` for all keys".to_owned(),
         };
-        Self::at(place, format_args!("unknown key {}: {remedy}", short(key)))
+        Self::with_place(place, format_args!("unknown key {}: {remedy}", short(key)))
     }
 
-    pub(super) fn at(place: Option<&str>, message: impl Display) -> Self {
+    pub(super) fn with_place(place: Option<&str>, message: impl Display) -> Self {
         let place = place.map(|place| format!("{place}: "));
         Self(format!("{}{message}", place.unwrap_or_default()))
     }

@@ -30,7 +30,7 @@ impl Layers {
             if cause.kind() == io::ErrorKind::NotFound {
                 message = format!("{message}\n`cdcrd config default > {file}` creates one");
             }
-            ConfigError::at(None, message)
+            ConfigError::with_place(None, message)
         })?;
         self.text(&text, path)
     }
@@ -102,7 +102,7 @@ impl Layers {
     /// Checks the keys and types of a text, and adds its settings; `whole` is the origin of the text, `origin`
     /// that of a byte of it.
     fn add(mut self, text: &str, whole: &str, origin: impl Fn(usize) -> String) -> Result<Self> {
-        let invalid = |error| ConfigError::at(Some(whole), syntax(text, &error));
+        let invalid = |error| ConfigError::with_place(Some(whole), syntax(text, &error));
         let places = places(text).map_err(invalid)?;
         let mut each = places.iter();
         if let Some(place) = each.find(|place| keys::get(&place.declared).is_none()) {
@@ -137,7 +137,7 @@ impl Layers {
     pub fn settings(self) -> Result<ConfigDraft> {
         // Parsed from text, like each layer: a second deserialiser would add code.
         let config = toml::from_str(&self.values.to_string());
-        let config = config.map_err(|cause| ConfigError::at(None, cause.message()))?;
+        let config = config.map_err(|cause| ConfigError::with_place(None, cause.message()))?;
         Ok(ConfigDraft::new(config, self.origins))
     }
 }

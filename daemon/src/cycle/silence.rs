@@ -58,7 +58,7 @@ impl SilenceWatch {
     }
 
     /// Takes a measurement that is used at this release. The motors may have rested in a silence before it, and else as
-    /// the driver states, less what is [believed](Self::believe). A rest that begins within the one stated before is no rest: it would have begun with
+    /// the driver states, less what is [believed](Self::believe). A rest that begins within the one stated before is not a rest: it would have begun with
     /// that. After a silence, a rest counts that began before it and lasted into it, or else the silence: a statement that is too short would hide a
     /// part of it.
     pub(super) fn rests(

@@ -88,7 +88,7 @@ impl RobotState {
                 MeasurementUse::Used
             }
             Err(cause) => {
-                // A value that repeats is no reason to distrust the sensor, nor to trust it.
+                // A value that repeats is not a reason to distrust the sensor, nor to trust it.
                 self.tip_watch.unused = cause.or(self.tip_watch.unused);
                 MeasurementUse::Implausible
             }

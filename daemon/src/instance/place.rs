@@ -156,7 +156,7 @@ mod tests {
     const GROUP: u32 = 64_321;
 
     #[test]
-    fn whoever_changes_who_may_use_the_folder_it_is_set_back_and_stays_locked() {
+    fn a_changed_access_to_the_folder_is_set_back_and_it_stays_locked() {
         let folder = Scratch::in_memory().unwrap();
         let location = Location::new("cdcrtest_place_", &folder.path().join("root")).unwrap();
         let instance = Instance::claim(&location, "a", None).unwrap();

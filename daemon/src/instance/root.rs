@@ -438,7 +438,7 @@ mod tests {
             |at: &Path| std::os::unix::fs::symlink("nowhere", at),
         ] {
             make(&root).expect("it is ours");
-            let error = prepare(&root).expect_err("it is no folder");
+            let error = prepare(&root).expect_err("it is not a folder");
             assert!(matches!(error, InstanceError::File { .. }), "{error}");
             std::fs::remove_file(&root).expect("it is ours");
         }

@@ -131,7 +131,7 @@ mod tests {
                 rested_ns: [0; 2],
             };
             error.take(release_ns, reference_m, (Some(&tip), unused), None);
-            // The same tip in the next cycle is no other stray one.
+            // The same tip in the next cycle is not another stray value.
             error.take(release_ns + 5, reference_m, (Some(&tip), unused), None);
             let distance_m = error.distance_m();
             assert!(

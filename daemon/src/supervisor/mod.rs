@@ -27,7 +27,7 @@ use crate::service_manager::{ServiceManager, StatusLine};
 use crate::status_thread::StatusThread;
 use refusals::{Refusals, newest_refusal};
 use statistics::Statistics;
-use steal::{Steal, Stolen};
+use steal::{Steal, StealMonitor};
 use tip_silence::{TipNews, TipSilence};
 use watchdog::Watchdog;
 
@@ -54,7 +54,7 @@ pub struct Supervisor {
     statistics: Statistics,
     resets: u64,
     budget_hits: u64,
-    steal: Steal,
+    steal: StealMonitor,
     watchdog: Watchdog,
     manager: ServiceManager,
     rate: Rate,
@@ -99,7 +99,7 @@ impl Supervisor {
             statistics: Statistics::new(clock.now_ns())?,
             resets: 0,
             budget_hits: 0,
-            steal: Steal::default(),
+            steal: StealMonitor::default(),
             watchdog: Watchdog::new(
                 Duration::from_nanos(ns(validated.config.cycle.watchdog_ms)),
                 now,
@@ -125,7 +125,7 @@ impl Supervisor {
     pub fn set_realtime(&mut self, missing: u32, core: Option<usize>, clock: &impl Clock) {
         self.status.realtime_missing = missing;
         self.status.core = core.map_or(u32::MAX, |core| core as u32);
-        self.steal = Steal::new(core, clock);
+        self.steal = StealMonitor::new(core, clock);
     }
 
     /// Supervises the threads until `is_over`; asks them to end when `should_end`. `desk` publishes the
@@ -184,8 +184,8 @@ impl Supervisor {
     fn take_summaries(&mut self, clock: &impl Clock) {
         while let Ok(mut summary) = self.ends.summaries.pop() {
             if summary.late_cause != LateCause::None.code() {
-                let stolen = self.steal.since(summary.due_ns, clock);
-                summary.late_cause = stolen.cause(summary.late_cause, summary.response_ns);
+                let steal = self.steal.since(summary.due_ns, clock);
+                summary.late_cause = steal.cause(summary.late_cause, summary.response_ns);
             }
             self.statistics.record(&summary);
             self.budget_hits += summary.counts.budget_hits;
@@ -212,8 +212,8 @@ impl Supervisor {
             && next.telemetry.cycle <= self.newest.cycle
             && let Ok(mut incident) = self.ends.incidents.pop()
         {
-            let stolen = self.steal.since(incident.telemetry.due_ns, clock);
-            explain(&mut incident, stolen);
+            let steal = self.steal.since(incident.telemetry.due_ns, clock);
+            explain(&mut incident, steal);
             // The ring was not full.
             let _ = self.ends.explained.push(incident);
             desk.wake();
@@ -430,13 +430,13 @@ fn ports_do_not_close() -> Ended {
 }
 
 /// Adds the steal to an incident, and changes its cause if the steal explains it.
-fn explain(incident: &mut wire::Incident, stolen: Stolen) {
-    incident.steal_ns = stolen.steal_ns;
-    incident.steal_window_ns = stolen.window_ns;
+fn explain(incident: &mut wire::Incident, steal: Steal) {
+    incident.steal_ns = steal.steal_ns;
+    incident.steal_window_ns = steal.window_ns;
     let record = &mut incident.telemetry;
     let lateness_ns = record.handed_over_ns.saturating_sub(record.due_ns);
     let cause = &mut record.scheduling.late_cause;
-    *cause = stolen.cause(*cause, lateness_ns);
+    *cause = steal.cause(*cause, lateness_ns);
 }
 
 #[cfg(test)]
@@ -470,7 +470,7 @@ mod tests {
 
     #[test]
     fn steal_changes_the_cause_of_a_kept_cycle() {
-        let stolen = Stolen {
+        let steal = Steal {
             steal_ns: 10_000_000,
             window_ns: 100_000_000,
         };
@@ -479,9 +479,9 @@ mod tests {
         incident.telemetry.handed_over_ns = 8_000_005;
         incident.telemetry.scheduling.late_cause = LateCause::Load.code();
         let before = incident.telemetry;
-        explain(&mut incident, stolen);
-        assert_eq!(incident.steal_ns, stolen.steal_ns);
-        assert_eq!(incident.steal_window_ns, stolen.window_ns);
+        explain(&mut incident, steal);
+        assert_eq!(incident.steal_ns, steal.steal_ns);
+        assert_eq!(incident.steal_window_ns, steal.window_ns);
         let after = incident.telemetry.scheduling;
         assert_eq!(after.late_cause, LateCause::Platform.code());
         incident.telemetry.scheduling.late_cause = before.scheduling.late_cause;

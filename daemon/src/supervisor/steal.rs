@@ -14,14 +14,14 @@ const READ_EVERY_NS: u64 = 100_000_000;
 
 /// Steal in a time window; both 0: it cannot be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Stolen {
+pub(super) struct Steal {
     /// Time stolen \[ns\], in steps of a tick.
     pub(super) steal_ns: u64,
     /// Length of the window, up to the newest reading \[ns\].
     pub(super) window_ns: u64,
 }
 
-impl Stolen {
+impl Steal {
     /// The cause of a cycle that was `lateness_ns` late. In a virtual machine, steal looks like another task
     /// on the core, a stall or a long computation. If the steal is at least half of the lateness, the cause
     /// is the platform.
@@ -45,7 +45,7 @@ struct StealReading {
 /// The steal of one core, read at most once per check of the supervisor: all late cycles of a check share the
 /// reading.
 #[derive(Debug, Default)]
-pub(super) struct Steal {
+pub(super) struct StealMonitor {
     reader: Option<StealReader>,
     /// Oldest first. Two readings precede the newest, so that one is older than a late cycle that contains a
     /// reading.
@@ -53,7 +53,7 @@ pub(super) struct Steal {
     is_fresh: bool,
 }
 
-impl Steal {
+impl StealMonitor {
     /// Reads the steal of `core`, or of all cores together.
     pub(super) fn new(core: Option<usize>, clock: &impl Clock) -> Self {
         let mut steal = Self {
@@ -75,7 +75,7 @@ impl Steal {
     }
 
     /// Steal since the newest reading before `due_ns`.
-    pub(super) fn since(&mut self, due_ns: u64, clock: &impl Clock) -> Stolen {
+    pub(super) fn since(&mut self, due_ns: u64, clock: &impl Clock) -> Steal {
         if !self.is_fresh {
             self.read(clock.now_ns());
         }
@@ -95,14 +95,14 @@ impl Steal {
 }
 
 /// From the newest reading before `due_ns`, or the oldest, to the newest.
-fn between(readings: &[StealReading; 3], due_ns: u64) -> Stolen {
+fn between(readings: &[StealReading; 3], due_ns: u64) -> Steal {
     let [oldest, before, newest] = readings;
     let begin = if before.time_ns <= due_ns {
         before
     } else {
         oldest
     };
-    Stolen {
+    Steal {
         steal_ns: newest.total_ns.saturating_sub(begin.total_ns),
         window_ns: newest.time_ns.saturating_sub(begin.time_ns),
     }
@@ -145,11 +145,11 @@ mod tests {
     #[test]
     fn steal_that_is_half_of_the_lateness_makes_it_the_platforms() {
         let cause = |steal_ms, lateness_ms, seen: LateCause| {
-            let stolen = Stolen {
+            let steal = Steal {
                 steal_ns: steal_ms * MS,
                 window_ns: 100 * MS,
             };
-            LateCause::try_from(stolen.cause(seen.code(), lateness_ms * MS)).expect("a cause")
+            LateCause::try_from(steal.cause(seen.code(), lateness_ms * MS)).expect("a cause")
         };
         for seen in [LateCause::Load, LateCause::Stall, LateCause::Compute] {
             assert_eq!(cause(10, 6, seen), LateCause::Platform);
@@ -169,25 +169,25 @@ mod tests {
             total_ns: total_ms * MS,
         };
         let readings = [reading(100, 0), reading(200, 30), reading(220, 40)];
-        let stolen = |due_ms| {
-            let Stolen {
+        let steal = |due_ms| {
+            let Steal {
                 steal_ns,
                 window_ns,
             } = between(&readings, due_ms * MS);
             [steal_ns / MS, window_ns / MS]
         };
-        assert_eq!(stolen(210), [10, 20]);
-        assert_eq!(stolen(200), [10, 20]);
+        assert_eq!(steal(210), [10, 20]);
+        assert_eq!(steal(200), [10, 20]);
         // A reading during the late cycle.
-        assert_eq!(stolen(195), [40, 120]);
-        assert_eq!(stolen(50), [40, 120]);
+        assert_eq!(steal(195), [40, 120]);
+        assert_eq!(steal(50), [40, 120]);
     }
 
     #[test]
-    fn the_late_cycles_of_a_look_share_one_reading() {
+    fn the_late_cycles_of_a_check_share_one_reading() {
         let clock = ManualClock::default();
-        let mut steal = Steal::new(None, &clock);
-        let window_ms = |stolen: Stolen| stolen.window_ns / MS;
+        let mut steal = StealMonitor::new(None, &clock);
+        let window_ms = |steal: Steal| steal.window_ns / MS;
         clock.sleep_until(20 * MS);
         steal.begin_check(&clock);
         assert_eq!(window_ms(steal.since(5 * MS, &clock)), 20);
@@ -205,12 +205,12 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_was_not_stolen() {
+    fn steal_that_cannot_be_read_is_zero() {
         let clock = ManualClock::default();
-        let mut steal = Steal::default();
+        let mut steal = StealMonitor::default();
         clock.sleep_until(400 * MS);
         steal.begin_check(&clock);
-        assert_eq!(steal.since(300 * MS, &clock), Stolen::default());
+        assert_eq!(steal.since(300 * MS, &clock), Steal::default());
     }
 
     #[test]

@@ -153,7 +153,7 @@ fn settled(telemetry: &mut TelemetryStream, mode: Mode) -> Telemetry {
     };
     let first = wait_record(telemetry, still);
     wait_record(telemetry, |record| {
-        assert!(still(record), "cycle {} is no rest", record.cycle);
+        assert!(still(record), "cycle {} is not at rest", record.cycle);
         record.cycle > first.cycle + SETTLED_CYCLES
     })
 }

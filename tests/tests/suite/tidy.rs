@@ -100,7 +100,7 @@ view/src | cdcr_controller | the viewer knows no mathematics
 packaging/src | cdcr_ | a generator gets the command lines that it describes
 testbed/scratch/src | use cdcr_ | a folder knows no robot
 testbed/process/src | iceoryx2 | who starts programs knows no shared memory
-testbed/process/src | cdcr_client | who starts programs is no client
+testbed/process/src | cdcr_client | what starts programs is not a client
 testbed/src | cdcr_controller | a load knows no mathematics
 client/src | cdcr_daemon | a client knows messages, not the daemon
 python/src | cdcr_daemon | a client knows messages, not the daemon

@@ -144,7 +144,7 @@ pub(crate) struct TipWatch {
     was_used: bool,
     /// First release of those in a row whose measured tip was rejected \[ns\].
     rejected_ns: Option<u64>,
-    is_told: bool,
+    is_reported: bool,
 }
 
 impl TipWatch {
@@ -160,12 +160,12 @@ impl TipWatch {
             return None;
         }
         let since_ns = *self.rejected_ns.get_or_insert(record.release_ns);
-        let is_new = self.was_used && !self.is_told;
+        let is_new = self.was_used && !self.is_reported;
         let lasts = silent_ns.is_some() || record.release_ns - since_ns > SILENT_NS;
         if !is_new || !lasts {
             return None;
         }
-        self.is_told = true;
+        self.is_reported = true;
         let cause = match (silent_ns, cause) {
             (None, Some(cause)) => format!("the measured tip is not in use because {cause}"),
             _ => "the tip sensor is silent".to_owned(),
@@ -182,9 +182,9 @@ mod tests {
     use crate::dry_run::tests::robot;
 
     #[test]
-    fn a_tip_that_becomes_that_of_the_model_on_the_way_is_told_once() {
+    fn a_tip_that_becomes_that_of_the_model_on_the_way_is_reported() {
         const STEP_NS: u64 = 5_000_000;
-        let told = |measured_until: u64, rejected_from: u64| {
+        let reported = |measured_until: u64, rejected_from: u64| {
             let mut watch = TipWatch::default();
             let record = |cycle: u64| Telemetry {
                 release_ns: cycle * STEP_NS,
@@ -196,16 +196,20 @@ mod tests {
                 },
                 ..Telemetry::default()
             };
-            let told = (1..=900).filter_map(|cycle| Some((cycle, watch.take(&record(cycle))?)));
-            told.collect::<Vec<_>>()
+            let reported = (1..=900).filter_map(|cycle| Some((cycle, watch.take(&record(cycle))?)));
+            reported.collect::<Vec<_>>()
         };
-        let silent = told(100, u64::MAX);
+        let silent = reported(100, u64::MAX);
         assert!(matches!(&silent[..], [(301, text)] if text.contains("the tip sensor is silent")));
-        let rejected = told(u64::MAX, 100);
+        let rejected = reported(u64::MAX, 100);
         assert!(matches!(&rejected[..], [(301, text)] if text.contains("because it moved faster")));
         let texts = || silent.iter().chain(&rejected);
         assert!(texts().all(|(_, text)| !text.contains("--")), "{silent:?}");
-        for of_never_or_always in [told(0, u64::MAX), told(u64::MAX, 800), told(u64::MAX, 0)] {
+        for of_never_or_always in [
+            reported(0, u64::MAX),
+            reported(u64::MAX, 800),
+            reported(u64::MAX, 0),
+        ] {
             assert!(of_never_or_always.is_empty(), "{of_never_or_always:?}");
         }
     }

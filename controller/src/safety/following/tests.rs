@@ -76,7 +76,7 @@ fn the_window_is_as_long_as_the_lag() {
             watch.commanded(&rates, period_s, period_s);
             commanded += period_s;
         }
-        // A robot that lags by half of it is no error, one by twice of it and two periods is.
+        // A robot that lags by half of it is not an error, one by twice of it and two periods is.
         let at = |behind_s: f64| bends(commanded - behind_s, 0.0);
         let near_rad = watch.measured(&robot(), &at(0.5 * lag_s)).largest_rad();
         assert!(near_rad < 1e-12, "{period_s} s: {near_rad}");

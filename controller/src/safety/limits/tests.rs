@@ -275,7 +275,7 @@ proptest! {
     }
 }
 
-/// Rates whose speed is no number move nothing, and rest is rest.
+/// Rates whose speed is not a number move nothing, and rest is rest.
 #[test]
 fn a_tip_speed_that_overflows_permits_no_rates() {
     let robot = slow_robot(0.1);

@@ -292,7 +292,7 @@ fn nothing_moves_a_robot_whose_daemon_ends() {
         }
         machine.observe(&good());
         assert_eq!(machine.mode(), rests);
-        // A stop counts beyond the end, of which it is no reason.
+        // A stop counts beyond the end, which it is not a reason for.
         let stopped = Mode::Stopped {
             reason: Reason::Request,
         };

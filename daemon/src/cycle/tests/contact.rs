@@ -48,7 +48,7 @@ fn a_body_that_comes_near_beside_its_estimate_is_a_fault() {
     assert!(true_m > -8e-3, "{true_m} m");
 }
 
-/// Noise, and single measurements that are wrong, are no contact.
+/// Noise, and single measurements that are wrong, are not a contact.
 #[test]
 fn noise_beside_an_obstacle_is_no_contact() {
     let actuator = Actuator {

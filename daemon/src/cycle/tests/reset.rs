@@ -102,7 +102,7 @@ fn after_a_wrong_measurement_that_passed_a_reset_moves_nothing() {
     assert!(matches!(trial.turns(100).mode, Mode::Tracking { .. }));
 }
 
-/// A driver that is started again during a motion obeys from its first position on: a reset is no step, either.
+/// A driver that is started again during a motion obeys from its first position on: a reset is not a step, either.
 #[test]
 fn after_a_wrong_measurement_the_set_point_of_a_new_driver_makes_no_step() {
     let mut trial = tracking();
@@ -285,7 +285,7 @@ fn a_reset_waits_for_a_measurement_that_is_no_jump() {
 }
 
 /// Speeds that are integrated would be forgotten in a second while in control; in a fault the place where the last command
-/// left the robot is kept. A robot that rests on its last motion is no other place.
+/// left the robot is kept. A robot that rests on its last motion is not in another place.
 #[test]
 fn a_reset_asks_about_a_pose_that_differs_and_about_no_other() {
     for interface in [Interface::Velocity, Interface::Position] {

@@ -22,7 +22,7 @@ pub(crate) fn check(record: &Telemetry, origin_ns: u64) -> CheckResult {
     ensure(times.is_sorted(), || format!("times go back: {times:?}"))?;
     let whole = record.elapsed_ns > 0 && record.elapsed_ns.is_multiple_of(record.period_ns);
     ensure(whole, || {
-        format!("{} ns are no whole periods", record.elapsed_ns)
+        format!("{} ns are not a whole number of periods", record.elapsed_ns)
     })
 }
 

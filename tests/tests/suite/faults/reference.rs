@@ -281,7 +281,7 @@ fn feeding_process(daemon: &Daemon, trail: &mut Trail, renewal: &mut Renewal) ->
 }
 
 #[test]
-fn a_killed_client_loses_the_lease_to_whoever_comes() {
+fn a_killed_client_loses_the_lease_to_the_next_client() {
     let daemon = short_lease();
     let connection = daemon.connect();
     let (mut trail, mut renewal) = (Trail::new(&connection), Renewal::default());

@@ -43,7 +43,7 @@ fn line(line: &str) -> Line {
     let flag = |index: usize| match columns[index] {
         "0" => false,
         "1" => true,
-        other => panic!("{other} is no flag: {line}"),
+        other => panic!("{other} is not a flag: {line}"),
     };
     // Both are present, or neither where the kernel does not count them.
     assert_eq!(columns[7].is_empty(), columns[8].is_empty(), "{line}");

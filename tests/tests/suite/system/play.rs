@@ -105,8 +105,8 @@ fn an_interrupted_replay_ends_in_hold() {
 fn live(daemon: &Daemon) -> Vec<(u64, f64)> {
     let list = daemon.place().json("obstacle list");
     let known = list.as_array().unwrap().iter();
-    let told = known.map(|it| (it["id"].as_u64(), it["start_m"][1].as_f64()));
-    told.map(|(id, y)| (id.unwrap(), y.unwrap())).collect()
+    let reported = known.map(|it| (it["id"].as_u64(), it["start_m"][1].as_f64()));
+    reported.map(|(id, y)| (id.unwrap(), y.unwrap())).collect()
 }
 
 #[test]

@@ -81,7 +81,7 @@ fn obstacles_are_added_shown_and_removed() {
 }
 
 #[test]
-fn whoever_leaves_last_leaves_nothing() {
+fn the_last_process_to_leave_leaves_nothing() {
     let mut daemon = Daemon::start(STALL_TOLERANT);
     good(daemon.place(), "status");
     let connection = daemon.connect();
@@ -216,7 +216,7 @@ fn a_watched_status_is_shown_again_and_again() {
 const FROZEN: Duration = Duration::from_millis(100);
 
 #[test]
-fn bad_cycles_are_kept_for_whoever_asks_later() {
+fn bad_cycles_are_kept_for_clients_that_ask_later() {
     let daemon = Daemon::start(STALL_TOLERANT);
     let place = daemon.place();
     // Only incidents that the daemon kept, at most the newest.

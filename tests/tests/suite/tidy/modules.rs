@@ -41,7 +41,7 @@ pub(super) fn graphs(files: &BTreeMap<Names, String>) -> Graphs {
             for path in meanings(path, &exports) {
                 let shared = module.iter().zip(&path);
                 let depth = shared.take_while(|(own, named)| own == named).count();
-                // A module and what is below it are no siblings.
+                // A module and what is below it are not siblings.
                 let (Some(own), Some(named)) = (module.get(depth), path.get(depth)) else {
                     continue;
                 };

@@ -6,7 +6,7 @@ use std::fmt;
 use cdcr_controller::robot::{Configuration, Robot};
 use nalgebra::Vector3;
 
-/// Overlap up to this is no contact \[m\].
+/// Overlap up to this is not a contact \[m\].
 const TOLERANCE_M: f64 = 2e-3;
 /// Points of the backbone are this part of the body's radius apart: between them the body is less than a sixteenth of its
 /// radius nearer to another part that it touches.

@@ -18,7 +18,7 @@ enum Remedy {
 }
 
 impl Remedy {
-    fn of(settings: &NmpcSettings) -> Self {
+    fn from_settings(settings: &NmpcSettings) -> Self {
         match (
             settings.posture_gain > 0.0,
             f64::from(settings.rate_weight) > 0.0,
@@ -68,7 +68,7 @@ impl Unrepeated {
         let moved = |section| Self {
             section,
             moved_m: (frames[0][section].position_m - frames[1][section].position_m).norm(),
-            remedy: Remedy::of(settings),
+            remedy: Remedy::from_settings(settings),
         };
         let sections = (1..robot.section_count()).map(moved);
         let most = sections.max_by(|a, b| a.moved_m.total_cmp(&b.moved_m))?;

@@ -20,7 +20,7 @@ pub(super) enum Frame {
 #[derive(Debug, Default)]
 pub(super) struct Frames {
     newest_ns: u64,
-    /// The newest that is no stray one: when and where \[ns, m\].
+    /// The newest that is not a stray value: when and where \[ns, m\].
     kept_ns: u64,
     kept_m: [f64; 3],
     /// Refused ones in a row, and the release that had the first of them \[ns\].
@@ -70,7 +70,7 @@ impl Frames {
         frame
     }
 
-    /// The newest measured tip that is no stray one \[ns, m\]; `None` before the first.
+    /// The newest measured tip that is not a stray value \[ns, m\]; `None` before the first.
     pub(super) fn kept(&self) -> Option<(u64, [f64; 3])> {
         (self.kept_ns > 0).then_some((self.kept_ns, self.kept_m))
     }
@@ -81,7 +81,7 @@ impl Frames {
         self.is_refused || silence_ns(release_ns, self.kept_ns).is_some()
     }
 
-    /// Whether tips are refused for longer: also the first of them were no stray ones.
+    /// Whether tips are refused for longer: the first of them were not stray values either.
     pub(super) fn is_refused(&self) -> bool {
         self.is_refused
     }

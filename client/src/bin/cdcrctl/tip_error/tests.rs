@@ -225,7 +225,7 @@ fn an_error_is_by_the_model_where_the_measured_tip_was_not_in_use() {
 #[test]
 fn a_sensor_that_falls_silent_on_the_way_is_named_and_its_whole_silence_counts() {
     const STEP_NS: u64 = 5_000_000;
-    // Measured for 100 cycles; then a pause that is no silence, and again; then silence to the end, or to the last cycle.
+    // Measured for 100 cycles; then a pause that is not a silence, and again; then silence to the end, or to the last cycle.
     for (is_silent_at_the_end, notes) in [
         (
             true,

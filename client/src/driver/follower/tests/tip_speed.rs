@@ -95,7 +95,7 @@ impl Motion {
     fn hang(&mut self, missed: u64, last: u64) -> f64 {
         self.run(10, 40, |_| 4);
         let goes_on = 41 + missed;
-        // It stands by then, or soon: the way until it goes on is no speed.
+        // It stands by then, or soon: the motion until it goes on is not a speed.
         self.before = None;
         self.run(goes_on, last, |_| 4)
     }
