@@ -149,7 +149,7 @@ impl Plan {
 
     /// Runs in a separate thread, whose core and priority settings end with it. The result of a benchmark that
     /// fails is its cause.
-    fn carry_out(self, progress: &mut Progress) -> Part {
+    fn carry_out(self, progress: &mut Progress) -> ReportPart {
         let (started, begin) = (SystemTime::now(), Instant::now());
         let Self { name, run, .. } = self;
         let result = thread::scope(|scope| scope.spawn(|| run(progress)).join());
@@ -163,7 +163,7 @@ impl Plan {
             dataset.fact(ERROR, format!("{cause:#}"));
             dataset
         };
-        Part {
+        ReportPart {
             dataset: result.unwrap_or_else(failed),
             started,
             took_s: begin.elapsed().as_secs_f64(),
@@ -171,7 +171,7 @@ impl Plan {
     }
 }
 
-pub fn run(plans: Vec<Plan>, progress: &mut Progress) -> Result<Vec<Part>> {
+pub fn run(plans: Vec<Plan>, progress: &mut Progress) -> Result<Vec<ReportPart>> {
     let mut left_s: f64 = plans.iter().map(|plan| plan.expected_s).sum();
     let mut parts = Vec::new();
     for plan in plans {
@@ -184,13 +184,13 @@ pub fn run(plans: Vec<Plan>, progress: &mut Progress) -> Result<Vec<Part>> {
     Ok(parts)
 }
 
-pub struct Part {
+pub struct ReportPart {
     pub dataset: Dataset,
     started: SystemTime,
     took_s: f64,
 }
 
-impl Part {
+impl ReportPart {
     pub fn has_failed(&self) -> bool {
         self.dataset.facts.contains_key(ERROR)
     }
@@ -200,7 +200,7 @@ pub struct BenchReport {
     pub start: Start,
     pub extent: Extent,
     pub default_config: bool,
-    pub parts: Vec<Part>,
+    pub parts: Vec<ReportPart>,
 }
 
 impl BenchReport {

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 
 use crate::handover::Shared;
-use crate::instance::{Found, PlaceWatch};
+use crate::instance::{PlaceCheck, PlaceWatch};
 use crate::reload::Reload;
 
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
@@ -93,11 +93,11 @@ fn run_checks(
 ) {
     loop {
         match place.check() {
-            Found::Whole => {}
-            Found::Restored => tracing::warn!("recreated the lock file: it had been deleted"),
+            PlaceCheck::Whole => {}
+            PlaceCheck::Restored => tracing::warn!("recreated the lock file: it had been deleted"),
             // At the end the services are removed with their ports.
-            Found::Lost { .. } if shared.is_ending() => return,
-            Found::Lost { path } => {
+            PlaceCheck::Lost { .. } if shared.is_ending() => return,
+            PlaceCheck::Lost { path } => {
                 tracing::error!(
                     path = %path.display(),
                     "was deleted or replaced, so clients cannot reach this daemon: the robot comes to rest"

@@ -22,7 +22,7 @@ use crate::kept_obstacles::KeptObstacles;
 use crate::latch::Latch;
 use crate::obstacles::ObstacleSet;
 use crate::services::{ServiceError, ask_for_space, stale};
-pub(crate) use place::{Found, PlaceWatch};
+pub(crate) use place::{PlaceCheck, PlaceWatch};
 pub use root::is_in_memory;
 
 /// Longest content read from a lock file \[bytes\]: a writer may put more than a process id into it.

@@ -13,13 +13,13 @@ pub trait Message: Serialize {
 }
 
 /// A type for fields.
-trait Part {
+trait FieldTyped {
     fn field_type() -> FieldType;
 }
 
 macro_rules! plain {
     ($($type:ty, $text:literal, $id:ident;)+) => { $(
-        impl Part for $type {
+        impl FieldTyped for $type {
             fn field_type() -> FieldType { FieldType::Plain($text, TypeId::$id) }
         }
     )+ };
@@ -34,7 +34,7 @@ plain! {
     String, "string", STRING;
 }
 
-impl<T: Part> Part for Vec<T> {
+impl<T: FieldTyped> FieldTyped for Vec<T> {
     fn field_type() -> FieldType {
         FieldType::Sequence(Box::new(T::field_type()))
     }
@@ -44,7 +44,7 @@ impl<T: Part> Part for Vec<T> {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Byte(pub u8);
 
-impl Part for Byte {
+impl FieldTyped for Byte {
     fn field_type() -> FieldType {
         FieldType::Plain("byte", TypeId::BYTE)
     }
@@ -60,7 +60,7 @@ macro_rules! messages {
         #[allow(missing_docs, reason = "the fields are those of the standard")]
         pub struct $type { $($(#[serde(rename = $written)])? pub $field: $part,)+ }
 
-        impl Part for $type {
+        impl FieldTyped for $type {
             fn field_type() -> FieldType { FieldType::Message($type::definition()) }
         }
 

@@ -11,7 +11,7 @@ use crate::cdr::{self, CdrError};
 /// # Errors
 /// When a text is not UTF-8; no client or daemon of this project sends one.
 pub fn encode(message: &dyn Struct) -> Result<Vec<u8>, CdrError> {
-    cdr::to_bytes(&Message(message))
+    cdr::to_bytes(&EncodedStruct(message))
 }
 
 /// Decodes the output of [`encode`] into `message`. Unused elements become zero, and reserved fields are
@@ -37,9 +37,9 @@ pub(crate) fn is_sequence(field: &Field) -> bool {
     field.used.is_some() && matches!(field.kind, Kind::Array(..))
 }
 
-struct Message<'a>(&'a dyn Struct);
+struct EncodedStruct<'a>(&'a dyn Struct);
 
-impl Serialize for Message<'_> {
+impl Serialize for EncodedStruct<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut fields = Vec::new();
         self.0.visit(&mut |field, value| {
@@ -80,7 +80,7 @@ impl Serialize for Plain<'_> {
             Value::U32(number) => serializer.serialize_u32(number),
             Value::U64(number) => serializer.serialize_u64(number),
             Value::F64(number) => serializer.serialize_f64(number),
-            Value::Struct(message) => Message(message).serialize(serializer),
+            Value::Struct(message) => EncodedStruct(message).serialize(serializer),
             Value::Array(array) => {
                 let mut tuple = serializer.serialize_tuple(array.count())?;
                 for i in 0..array.count() {

@@ -31,7 +31,7 @@ use crate::numbers::{count, seconds, until, within};
 use crate::obstacle::{Obstacle, check_count};
 use crate::robot::Robot;
 use crate::settings::{Settings, changed, known};
-use crate::trajectory::{Points, Source, Trajectory};
+use crate::trajectory::{Points, Trajectory, TrajectorySource};
 use crate::wire::Records;
 use crate::words::{INTERFACES, chosen};
 use crate::worker::{Closed, Worker, once, refuse_forked_process, sleep_until};
@@ -342,7 +342,7 @@ impl Connection {
         lead_s: f64,
     ) -> PyResult<Feed> {
         let points = Points::from_arrays(t, xyz, quaternion, axis, interpolation)?;
-        let source = Source::Points(std::sync::Arc::new(points));
+        let source = TrajectorySource::Points(std::sync::Arc::new(points));
         Feed::new(self.origin()?, source, track, lead_s)
     }
 

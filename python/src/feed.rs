@@ -13,7 +13,7 @@ use crate::address::Address;
 use crate::errors::Failure;
 use crate::numbers::{until, within};
 use crate::running::{Running, exit_result, wait_until_holding};
-use crate::trajectory::{Source, wire_interpolation};
+use crate::trajectory::{TrajectorySource, wire_interpolation};
 use crate::worker::Closed;
 
 /// Range of the time from the begin of the `with` to the first point [s].
@@ -32,7 +32,7 @@ struct Shared {
 #[pyclass(frozen, module = "cdcr")]
 pub(crate) struct Feed {
     address: Address,
-    source: Source,
+    source: TrajectorySource,
     options: FeedOptions,
     shared: Arc<Shared>,
     running: Running<FeedReport>,
@@ -95,7 +95,7 @@ impl From<Report> for FeedReport {
 impl Feed {
     pub(crate) fn new(
         (address, closed): (Address, Closed),
-        source: Source,
+        source: TrajectorySource,
         track: bool,
         lead_s: f64,
     ) -> PyResult<Self> {
@@ -190,7 +190,7 @@ impl Drop for Feed {
 
 fn run(
     address: &Address,
-    source: &Source,
+    source: &TrajectorySource,
     options: FeedOptions,
     shared: &Shared,
     begun: &Sender<bool>,

@@ -25,10 +25,10 @@ const ALONE_MAX: usize = 4096;
 /// Largest number for one shape: 2.4 MB.
 const BACKBONE_POINTS_MAX: u32 = 100_000;
 
-type Place = fn(&mut SectionParameters) -> &mut f64;
+type Accessor = fn(&mut SectionParameters) -> &mut f64;
 
 /// The numbers of a section, by the names of the arguments.
-const PLACES: [(&str, Place); 6] = [
+const PLACES: [(&str, Accessor); 6] = [
     ("length_m", |section| &mut section.length_m),
     ("cable_radius_m", |section| &mut section.cable_radius_m),
     ("cable_offset_rad", |section| &mut section.cable_offset_rad),

@@ -171,7 +171,7 @@ fn run<R: Fn(f64) -> ReferenceSample + Send>(
     mut closed: ClosedLoop<R>,
     (period_s, settings): (f64, NmpcSettings),
     periods: usize,
-    reference: &crate::trajectory::Source,
+    reference: &crate::trajectory::TrajectorySource,
 ) -> PyResult<Vec<PeriodRow>> {
     let mut nmpc = nmpc::Nmpc::new(robot.clone(), period_s, settings).map_err(Failure::from)?;
     let mut rows = Vec::new();
@@ -194,7 +194,7 @@ fn run<R: Fn(f64) -> ReferenceSample + Send>(
 impl PeriodRow {
     fn after<R: Fn(f64) -> ReferenceSample>(
         closed: &ClosedLoop<R>,
-        reference: &crate::trajectory::Source,
+        reference: &crate::trajectory::TrajectorySource,
         report: SolveReport,
         solve_s: f64,
     ) -> Self {

@@ -31,11 +31,11 @@ const GAP_MAX_S: f64 = DURATION_MAX_S - 120.0;
 /// What the tip shall follow: a curve in time, which counts from its start. Immutable.
 #[pyclass(frozen, module = "cdcr")]
 pub(crate) struct Trajectory {
-    pub(crate) source: Source,
+    pub(crate) source: TrajectorySource,
 }
 
 #[derive(Clone)]
-pub(crate) enum Source {
+pub(crate) enum TrajectorySource {
     Curve(Arc<Curve>),
     Points(Arc<Points>),
 }
@@ -116,7 +116,7 @@ impl Trajectory {
     ) -> PyResult<Self> {
         let points = Points::from_arrays(t, xyz, quaternion, axis, interpolation)?;
         Ok(Self {
-            source: Source::Points(Arc::new(points)),
+            source: TrajectorySource::Points(Arc::new(points)),
         })
     }
 
@@ -156,12 +156,12 @@ impl Trajectory {
 impl Trajectory {
     fn curve(curve: impl cdcr_client::Trajectory + Send + Sync + 'static) -> Self {
         Self {
-            source: Source::Curve(Arc::new(curve)),
+            source: TrajectorySource::Curve(Arc::new(curve)),
         }
     }
 }
 
-impl Source {
+impl TrajectorySource {
     pub(crate) fn curve(&self) -> &Curve {
         match self {
             Self::Curve(curve) => curve.as_ref(),

@@ -20,7 +20,7 @@ pub(super) const WARM_UP: usize = 10;
 const LEAD_RECORDS: usize = 20;
 /// Messages without an effect that are tolerated in addition to the samples.
 const SPARE: usize = 500;
-pub(super) enum Source {
+pub(super) enum Sender {
     Reference(ReferenceFeed),
     Obstacle(Box<ObstacleSender>),
     Measurement(Box<Driver>),
@@ -28,7 +28,7 @@ pub(super) enum Source {
     Request(RequestKind),
 }
 
-impl Source {
+impl Sender {
     fn way(&self) -> &'static str {
         match self {
             Self::Reference(_) => "reference.command",
@@ -72,7 +72,7 @@ impl Source {
         Ok((header.sequence, header.sent_ns))
     }
 
-    /// Messages of this source in the record: identification, gather that took it, outcome.
+    /// Messages of this sender in the record: identification, gather that took it, outcome.
     fn taken(&self, sender_id: u64, record: &Telemetry) -> Vec<(u64, u64, u32)> {
         let (kind, request) = match self {
             Self::Reference(_) => (EventKind::Reference, None),
@@ -99,8 +99,8 @@ impl Source {
     }
 }
 
-struct Line {
-    source: Source,
+struct SentInputs {
+    sender: Sender,
     sent: HashMap<u64, Sent>,
     count: usize,
     recorded: usize,
@@ -112,9 +112,9 @@ struct Sent {
     answered_ns: Option<u64>,
 }
 
-impl Line {
+impl SentInputs {
     fn send(&mut self, watcher: &mut Watcher) -> Result<()> {
-        let (key, stamp_ns) = self.source.send(self.count, watcher)?;
+        let (key, stamp_ns) = self.sender.send(self.count, watcher)?;
         self.count += 1;
         let sent = Sent {
             stamp_ns,
@@ -126,11 +126,11 @@ impl Line {
     }
 
     fn take(&mut self, cycle: &Seen, sender_id: u64, round: &mut Round) -> Result<()> {
-        for (key, gather_ns, outcome) in self.source.taken(sender_id, &cycle.record) {
+        for (key, gather_ns, outcome) in self.sender.taken(sender_id, &cycle.record) {
             let Some(sent) = self.sent.remove(&key) else {
                 continue;
             };
-            let way = self.source.way();
+            let way = self.sender.way();
             if outcome != Outcome::Accepted.code() {
                 let why = Outcome::text_of(outcome);
                 bail!("the daemon rejected a message of the benchmark ({way}): {why}");
@@ -141,7 +141,7 @@ impl Line {
             let why = Reason::text_of(cycle.record.reason);
             let follows = cycle.is_in(Mode::Tracking);
             ensure!(follows, "the robot no longer follows its reference: {why}");
-            let is_request = self.source.is_request();
+            let is_request = self.sender.is_request();
             let received_ns = [cycle.received_ns, sent.answered_ns][usize::from(is_request)];
             // Without its command, because the client was away too long, there is no latency.
             let Some(received_ns) = received_ns else {
@@ -155,31 +155,31 @@ impl Line {
     }
 }
 
-/// Sends from each source in turn, at phases spread over the period, until each has `samples`. Requests are
+/// Sends from each sender in turn, at phases spread over the period, until each has `samples`. Requests are
 /// sent one at a time. `lead_ns`: time from the gather to the release.
 pub(super) fn measure(
     watcher: &mut Watcher,
     lead_ns: u64,
-    sources: Vec<Source>,
+    senders: Vec<Sender>,
     samples: usize,
     round: &mut Round,
 ) -> Result<()> {
     watcher.before_ns = early_ns(watcher);
-    if sources.iter().any(Source::is_request) {
+    if senders.iter().any(Sender::is_request) {
         // An answer may come right after the gather.
         watcher.before_ns += lead_ns;
     }
-    let is_sent = |source: &Source| matches!(source, Source::Reference(_) | Source::Obstacle(_));
-    let is_simulated = sources.iter().all(is_sent);
-    // Periods between two messages: each source sends in every second period; an answer takes two.
+    let is_sent = |sender: &Sender| matches!(sender, Sender::Reference(_) | Sender::Obstacle(_));
+    let is_simulated = senders.iter().all(is_sent);
+    // Periods between two messages: each sender sends in every second period; an answer takes two.
     let gap = if is_simulated { 1 } else { 2 };
-    let line = |source| Line {
-        source,
+    let line = |sender| SentInputs {
+        sender,
         sent: HashMap::new(),
         count: 0,
         recorded: 0,
     };
-    let mut lines: Vec<Line> = sources.into_iter().map(line).collect();
+    let mut lines: Vec<SentInputs> = senders.into_iter().map(line).collect();
     let (mut phases, mut cycle) = (Phases::default(), 0);
     watcher.begin()?;
     for number in 0..2 * lines.len() * (samples + WARM_UP) + SPARE {
@@ -205,7 +205,7 @@ pub(super) fn measure(
 
 fn take(
     watcher: &mut Watcher,
-    lines: &mut [Line],
+    lines: &mut [SentInputs],
     is_simulated: bool,
     round: &mut Round,
 ) -> Result<()> {

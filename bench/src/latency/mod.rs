@@ -26,7 +26,7 @@ use crate::subject::transport;
 use crate::subject::watcher::{PollCounts, Watcher};
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
-use inputs::Source;
+use inputs::Sender;
 use leg::Round;
 pub use leg::declared;
 
@@ -172,13 +172,13 @@ impl Bench<'_> {
     ) -> Result<()> {
         let [samples, stops, _] = self.options.samples();
         let sources = vec![
-            Source::Reference(scene::follow(watcher, None)?),
-            Source::Obstacle(Box::new(watcher.connection.obstacle_sender()?)),
+            Sender::Reference(scene::follow(watcher, None)?),
+            Sender::Obstacle(Box::new(watcher.connection.obstacle_sender()?)),
         ];
         inputs::measure(watcher, lead_ns, sources, samples, round)?;
 
         watcher.open_asker(location)?;
-        let requests = [RequestKind::AcquireLease, RequestKind::Track].map(Source::Request);
+        let requests = [RequestKind::AcquireLease, RequestKind::Track].map(Sender::Request);
         inputs::measure(watcher, lead_ns, requests.into(), samples, round)?;
 
         stops::measure(watcher, stops, round)
@@ -186,7 +186,7 @@ impl Bench<'_> {
 
     fn driven(&self, watcher: &mut Watcher, lead_ns: u64, round: &mut Round) -> Result<()> {
         let driver = watcher.connection.driver(Interface::Velocity)?;
-        let measurement = Source::Measurement(Box::new(driver));
+        let measurement = Sender::Measurement(Box::new(driver));
         let _feed = scene::follow(watcher, Some(&measurement))?;
         let [samples, ..] = self.options.samples();
         inputs::measure(watcher, lead_ns, vec![measurement], samples, round)
@@ -266,7 +266,7 @@ mod tests {
         let (share, ()) = share_of_core(|| watcher.watch_until(end_ns));
         assert!(share < 0.75, "{share} of a core to watch");
         let driver = watcher.connection.driver(Interface::Velocity);
-        let driver = Source::Measurement(Box::new(driver.expect("a driver")));
+        let driver = Sender::Measurement(Box::new(driver.expect("a driver")));
         let (share, _feed) = share_of_core(|| scene::follow(&mut watcher, Some(&driver)));
         assert!(share < 0.75, "{share} of a core until the robot follows");
         daemon.stop().expect("it ends");

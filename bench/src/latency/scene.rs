@@ -8,7 +8,7 @@ use cdcr_client::{ReferenceFeed, RequestError, monotonic_ns, section_lengths_m};
 use cdcr_shared_types::codes::{ChunkMode, Interpolation, Mode, Outcome, Reason, RequestKind};
 use cdcr_shared_types::{Header, ReferencePoint};
 
-use super::inputs::Source;
+use super::inputs::Sender;
 use crate::interrupt;
 use crate::subject::TIMEOUT;
 use crate::subject::watcher::Watcher;
@@ -46,7 +46,7 @@ pub(super) fn aside(index: usize, length_m: f64) -> [f64; 3] {
 
 /// Takes the lease and starts tracking. With a driver, measurements are sent meanwhile: the daemon needs one
 /// before it holds the robot, and takes silence for a fault.
-pub(super) fn follow(watcher: &mut Watcher, driver: Option<&Source>) -> Result<ReferenceFeed> {
+pub(super) fn follow(watcher: &mut Watcher, driver: Option<&Sender>) -> Result<ReferenceFeed> {
     let measure = |watcher: &mut Watcher| -> Result<()> {
         interrupt::check()?;
         driver.map_or(Ok(()), |source| source.send(0, watcher).map(|_| ()))

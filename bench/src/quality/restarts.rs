@@ -112,13 +112,13 @@ impl Field {
 }
 
 /// A shape at rest, a reachable target for its tip, and obstacles that both are clear of.
-struct Problem {
+struct ReachProblem {
     start: Configuration,
     target_m: Vector3<f64>,
     obstacles: Vec<Obstacle>,
 }
 
-impl Problem {
+impl ReachProblem {
     fn draw(field: Field, robot: &Robot, seed: u64) -> Result<Self> {
         let mut numbers = Numbers::new(cycle_seed(seed, field as u64));
         for _ in 0..DRAWS_MAX {
@@ -177,7 +177,7 @@ fn settings(solver: SolverKind) -> NmpcSettings {
 
 pub(super) fn contest(field: Field, seed: u64) -> Result<Vec<Value>> {
     let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
-    let problem = Problem::draw(field, &robot, seed)?;
+    let problem = ReachProblem::draw(field, &robot, seed)?;
     let row = |contender| compete(contender, &robot, field, &problem, seed);
     let mut rows: Vec<Value> = CONTENDERS.iter().map(row).collect::<Result<_>>()?;
     let costs = rows.iter().filter_map(|row| number(row, "cost"));
@@ -193,7 +193,7 @@ fn compete(
     contender: &Contender,
     robot: &Robot,
     field: Field,
-    problem: &Problem,
+    problem: &ReachProblem,
     seed: u64,
 ) -> Result<Value> {
     let begin = Instant::now();
@@ -272,7 +272,7 @@ mod tests {
         let robot = Robot::new(&RobotParameters::paper(SECTIONS)).unwrap();
         let problems = |field| (0..20).map(move |seed| (field, seed));
         for (field, seed) in Field::ALL.into_iter().flat_map(problems) {
-            let draw = |seed| Problem::draw(field, &robot, seed).unwrap();
+            let draw = |seed| ReachProblem::draw(field, &robot, seed).unwrap();
             let problem = draw(seed);
             assert_eq!(problem.target_m, draw(seed).target_m);
             assert_ne!(problem.target_m, draw(seed + 1000).target_m);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use cdcr_controller::closed_loop::{Driven, FigureEight, FigureEightError, Part, Sensor};
+use cdcr_controller::closed_loop::{Driven, FigureEight, FigureEightError, Sensor, TipPart};
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::plant::{Flaws, RobotPreset};
@@ -38,17 +38,17 @@ pub(super) static CONTROLS: [Control; 9] = [
     control("full", BLUE, |_| true, |_| {}),
     control("no actuator model", GREEN, |on| on.actuator() != Actuator::IDEAL, |it| it.actuator = Actuator::IDEAL),
     control("no filter", SKY, |on| on.name == "30 µm of noise" || on.name.starts_with("tip alone"), unfiltered),
-    control("no offset along the way", SKY, |on| on.name.starts_with("wrong model"), |it| it.without = Some(Part::Slope)),
+    control("no offset along the way", SKY, |on| on.name.starts_with("wrong model"), |it| it.without = Some(TipPart::Slope)),
     control(NO_RATE_WEIGHT, PURPLE, |on| on.name == "laboratory", |_| {}),
     // No clearance margin where the tip is measured in addition to the bends.
-    control("no margin", SKY, |on| on.name == "5 % longer, ball", |it| it.without = Some(Part::Margin)),
+    control("no margin", SKY, |on| on.name == "5 % longer, ball", |it| it.without = Some(TipPart::Margin)),
     control(FIRST, ORANGE, |_| true, |it| { unfiltered(it); it.actuator = Actuator::IDEAL; }),
     control("no tip", PURPLE, |on| on.sensor.starts_with("both"), |it| it.sensor = Sensor::Cables),
     control("open loop", GREY, |_| true, |it| it.sensor = Sensor::Nothing),
 ];
 
 fn unfiltered(driven: &mut Driven) {
-    (driven.time_constant_s, driven.without) = (0.0, Some(Part::Filter));
+    (driven.time_constant_s, driven.without) = (0.0, Some(TipPart::Filter));
 }
 
 impl Control {

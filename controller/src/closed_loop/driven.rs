@@ -18,14 +18,14 @@ pub struct Driven {
     /// Sensors of the robot.
     pub sensor: Sensor,
     /// Part of the controller to omit, to show its effect.
-    pub without: Option<Part>,
+    pub without: Option<TipPart>,
     /// Seed of the noise.
     pub seed: u64,
 }
 
 /// A part of the controller that uses the tip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Part {
+pub enum TipPart {
     /// The Kalman filter of the tip. Without it, the bends are those nearest to the estimate that place the tip exactly
     /// where it is measured.
     Filter,
@@ -80,7 +80,7 @@ impl DrivenRobot {
             .with_actuator(model, driven.actuator)
             .with_time_constant(driven.time_constant_s);
         let estimator = match driven.without {
-            Some(Part::Slope) => estimator.without_tip_slope(),
+            Some(TipPart::Slope) => estimator.without_tip_slope(),
             _ => estimator,
         };
         let mut robot = Self {
@@ -139,7 +139,7 @@ impl DrivenRobot {
     /// Additional safe distance of the body (m).
     pub(super) fn margin_m(&self) -> f64 {
         match self.driven.without {
-            Some(Part::Margin) => 0.0,
+            Some(TipPart::Margin) => 0.0,
             _ => self.estimator.tip_margin_m(),
         }
     }
@@ -187,7 +187,7 @@ impl DrivenRobot {
         if tip_every.is_some_and(|every| self.releases.is_multiple_of(every.max(1)))
             && let Some(tip_m) = self.plant.measure_tip()
         {
-            if self.driven.without == Some(Part::Filter) {
+            if self.driven.without == Some(TipPart::Filter) {
                 let bends = nearest_with_tip(&self.model, self.estimator.present(), &tip_m);
                 let bends = Measurement::Configuration(bends);
                 self.estimator.correct(&self.model, &bends, 0.0);

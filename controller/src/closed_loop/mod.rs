@@ -20,7 +20,7 @@ use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError};
 use crate::safety::{Lag, LimitsHit, SafeCommand, Situation, safe_command};
 use driven::DrivenRobot;
-pub use driven::{Driven, Part, Sensor};
+pub use driven::{Driven, Sensor, TipPart};
 pub use figure_eight::{FigureEight, FigureEightError, FigureEightRest, FigureEightRun};
 pub use scene::{Scene, SceneError, SceneLoop};
 

@@ -5,7 +5,7 @@
 use nalgebra::Vector3;
 
 use super::reachable::{Reachable, SolveContext};
-use super::solver::{Solver, Task};
+use super::solver::{SolveTask, Solver};
 use super::{HORIZON_STEPS_MAX, Horizon, NmpcSettings, PLAN_MAX, SolveReport, SolveStatus};
 use crate::optimizer::{Budget, GaussNewtonOutcome, GaussNewtonSettings, Incumbent, Problem};
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
@@ -65,7 +65,7 @@ impl Foresight {
     pub(super) fn improve(
         &mut self,
         solver: &mut Solver,
-        task: &Task,
+        task: &SolveTask,
         context: &SolveContext,
         budget: &mut Budget<'_>,
         report: &mut SolveReport,
@@ -87,7 +87,7 @@ impl Foresight {
         let motion = context.motion(horizon);
         let limits = self.reachable.update(context, &motion, budget);
         let problem = context.problem(&motion, &limits, &self.reachable, &self.reference);
-        let longer = Task {
+        let longer = SolveTask {
             problem: &problem,
             bounds: &self.reachable.bounds,
             ..*task
@@ -133,7 +133,7 @@ fn extrapolate_reference(
 
 impl Solver {
     /// Whether other plans may have the same cost, and a constraint or a rate limit restricts the choice.
-    fn has_plans_of_equal_cost(&self, task: &Task) -> bool {
+    fn has_plans_of_equal_cost(&self, task: &SolveTask) -> bool {
         task.settings.solver.refines()
             && task.problem.is_staged()
             && !task.problem.is_regularised()
@@ -142,7 +142,7 @@ impl Solver {
             && (!task.problem.is_free() || self.is_at_bound(task))
     }
 
-    fn is_at_bound(&self, task: &Task) -> bool {
+    fn is_at_bound(&self, task: &SolveTask) -> bool {
         let intervals = task.bounds.lower().iter().zip(task.bounds.upper());
         let mut rates = self.incumbent.z().iter().zip(intervals);
         rates.any(|(rate, (lower, upper))| {
@@ -155,8 +155,8 @@ impl Solver {
     /// of the incumbent is at a bound.
     fn improve_if_restricted(
         &mut self,
-        task: &Task,
-        longer: &Task,
+        task: &SolveTask,
+        longer: &SolveTask,
         budget: &mut Budget<'_>,
         report: &mut SolveReport,
     ) {
@@ -186,8 +186,8 @@ impl Solver {
     /// costs more than the warm start.
     fn refine_over_longer_horizon(
         &mut self,
-        task: &Task,
-        longer: &Task,
+        task: &SolveTask,
+        longer: &SolveTask,
         budget: &mut Budget<'_>,
         report: &mut SolveReport,
     ) {
@@ -243,7 +243,7 @@ impl Solver {
 }
 
 /// Evaluates a plan and makes it the incumbent.
-fn restart(incumbent: &mut Incumbent, task: &Task, plan: &[f64], budget: &mut Budget<'_>) {
+fn restart(incumbent: &mut Incumbent, task: &SolveTask, plan: &[f64], budget: &mut Budget<'_>) {
     let evaluation = task.problem.evaluate_at(plan, budget);
     incumbent.restart(plan, evaluation.as_ref());
 }

@@ -402,7 +402,7 @@ impl Nmpc {
         );
         self.reachable.bounds.project(&mut memory.warm_plan);
         let problem = context.problem(&motion, &limits, &self.reachable, input.reference);
-        let task = solver::Task {
+        let task = solver::SolveTask {
             problem: &problem,
             bounds: &self.reachable.bounds,
             settings: &self.settings,

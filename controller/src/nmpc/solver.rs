@@ -38,14 +38,14 @@ const SEARCH_SHARE: f64 = 2.3;
 
 /// One optimal control problem with its box and settings.
 #[derive(Clone, Copy)]
-pub(super) struct Task<'a> {
+pub(super) struct SolveTask<'a> {
     pub problem: &'a TrackingProblem<'a>,
     pub bounds: &'a Bounds,
     pub settings: &'a NmpcSettings,
     pub seed: u64,
 }
 
-impl Task<'_> {
+impl SolveTask<'_> {
     /// Whether the plan is long, with separate rates at every step.
     fn is_long(&self) -> bool {
         self.problem.steps() >= LONG_STEPS_MIN
@@ -124,7 +124,7 @@ impl Solver {
     /// Starts from `warm_plan` and improves it while the budget lasts.
     pub(super) fn solve(
         &mut self,
-        task: &Task,
+        task: &SolveTask,
         warm_plan: &[f64],
         budget: &mut Budget<'_>,
     ) -> SolveReport {
@@ -228,7 +228,7 @@ impl Solver {
     /// it, because it leads to other local minima.
     fn evaluate_with_rest_plan(
         &mut self,
-        task: &Task,
+        task: &SolveTask,
         warm_plan: &[f64],
         budget: &mut Budget<'_>,
     ) -> (Option<Evaluation<1>>, bool) {
@@ -258,7 +258,7 @@ impl Solver {
     /// takes [`NEW_PLAN_STEPS`] more, because no earlier cycle has come close.
     fn refine_warm_start(
         &mut self,
-        task: &Task,
+        task: &SolveTask,
         is_new: bool,
         evaluation: Option<&Evaluation<1>>,
         budget: &mut Budget<'_>,
@@ -287,7 +287,7 @@ impl Solver {
     /// [`INTERRUPTED_COST_SHARE`] applies. Returns the iterations begun, and the outcome for the better plan.
     fn search_from_warm_start(
         &mut self,
-        task: &Task,
+        task: &SolveTask,
         (warm_plan, evaluation): (&[f64], Option<&Evaluation<1>>),
         refined: Option<GaussNewtonOutcome>,
         budget: &mut Budget<'_>,
@@ -313,7 +313,7 @@ impl Solver {
     /// of the incumbent, if there was one. Returns the iterations begun.
     fn search(
         &mut self,
-        task: &Task,
+        task: &SolveTask,
         refined: Option<GaussNewtonOutcome>,
         budget: &mut Budget<'_>,
     ) -> u32 {
@@ -354,7 +354,12 @@ impl Solver {
         }
     }
 
-    fn search_around(&mut self, cost: &impl Cost, task: &Task, budget: &mut Budget<'_>) -> u32 {
+    fn search_around(
+        &mut self,
+        cost: &impl Cost,
+        task: &SolveTask,
+        budget: &mut Budget<'_>,
+    ) -> u32 {
         let swarm_task = optimizer::SwarmTask {
             cost,
             bounds: task.bounds,
@@ -366,7 +371,11 @@ impl Solver {
         self.swarm.search(&swarm_task, budget, &mut self.incumbent)
     }
 
-    pub(super) fn refine(&mut self, task: &Task, budget: &mut Budget<'_>) -> GaussNewtonOutcome {
+    pub(super) fn refine(
+        &mut self,
+        task: &SolveTask,
+        budget: &mut Budget<'_>,
+    ) -> GaussNewtonOutcome {
         let settings = task.settings.gauss_newton();
         self.refine_with(task.problem, task.bounds, &settings, budget)
     }
@@ -383,7 +392,7 @@ impl Solver {
     }
 
     /// Whether the cost without that of the rates exceeds the cost of a small error.
-    pub(super) fn has_tracking_error(&self, task: &Task) -> bool {
+    pub(super) fn has_tracking_error(&self, task: &SolveTask) -> bool {
         let error = self.incumbent.cost() - task.problem.regularisation_at(self.incumbent.z());
         error > task.settings.small_cost()
     }
@@ -391,7 +400,7 @@ impl Solver {
     /// Whether the error begins late in the horizon, in a plan with separate rates at every step that
     /// continues from the last cycle. There the reference is too fast for the robot, and a search gains
     /// nothing.
-    fn error_is_late(&self, task: &Task, warm_plan: &[f64], budget: &mut Budget<'_>) -> bool {
+    fn error_is_late(&self, task: &SolveTask, warm_plan: &[f64], budget: &mut Budget<'_>) -> bool {
         let problem = task.problem;
         if !task.continues(warm_plan)
             || self.incumbent.is_violated()
@@ -405,7 +414,7 @@ impl Solver {
     }
 
     /// Tries the escape directions where the gradient vanishes. Returns whether one reduced the cost.
-    fn escape_stationary_point(&mut self, task: &Task, budget: &mut Budget<'_>) -> bool {
+    fn escape_stationary_point(&mut self, task: &SolveTask, budget: &mut Budget<'_>) -> bool {
         let before = self.incumbent.cost();
         if self.has_tracking_error(task) {
             self.scratch.resize(task.problem.dimension(), 0.0);

@@ -6,7 +6,7 @@ use core::f64::consts::PI;
 
 use super::obstacles::Obstacles;
 use super::problem::TrackingProblem;
-use super::solver::{Solver, Task};
+use super::solver::{SolveTask, Solver};
 use crate::optimizer::{Budget, GaussNewtonOutcome, GaussNewtonSettings, Problem, cycle_seed};
 use crate::robot::COORDINATES_MAX;
 
@@ -28,7 +28,7 @@ impl Solver {
     /// becomes the incumbent and is refined to the end.
     pub(super) fn multi_start(
         &mut self,
-        task: &Task,
+        task: &SolveTask,
         warm_plan: &[f64],
         budget: &mut Budget<'_>,
     ) -> GaussNewtonOutcome {
@@ -57,7 +57,7 @@ impl Solver {
     /// Plans without obstacles. Returns whether that plan keeps clear of all obstacles.
     fn plan_without_obstacles(
         &mut self,
-        task: &Task,
+        task: &SolveTask,
         warm_plan: &[f64],
         budget: &mut Budget<'_>,
     ) -> bool {
@@ -82,7 +82,7 @@ impl Solver {
     /// The incumbent's memory then holds a plan of an earlier solve, which is not read.
     fn run_batch(
         &mut self,
-        task: &Task,
+        task: &SolveTask,
         batch: u64,
         is_free_plan_clear: bool,
         budget: &mut Budget<'_>,
@@ -127,7 +127,7 @@ impl Solver {
 
     /// Starts a way beside the free plan: to a random side, and each second one to the opposite side. Or from a
     /// random plan, and each second one from the opposite plan.
-    fn start_way(&mut self, task: &Task, batch: u64, way: usize, budget: &mut Budget<'_>) {
+    fn start_way(&mut self, task: &SolveTask, batch: u64, way: usize, budget: &mut Budget<'_>) {
         let width = task.problem.motion.width();
         let mut direction = [0.0; COORDINATES_MAX];
         let direction = &mut direction[..width];
@@ -162,7 +162,7 @@ impl Solver {
         &mut self,
         way: usize,
         problem: &TrackingProblem,
-        task: &Task,
+        task: &SolveTask,
         settings: &GaussNewtonSettings,
         budget: &mut Budget<'_>,
     ) {
@@ -178,7 +178,7 @@ fn random_share(seed: u64, number: u64) -> f64 {
 }
 
 /// Settings for a number of rough steps.
-fn rough_settings(task: &Task, steps: u32) -> GaussNewtonSettings {
+fn rough_settings(task: &SolveTask, steps: u32) -> GaussNewtonSettings {
     GaussNewtonSettings {
         steps,
         is_rough: true,

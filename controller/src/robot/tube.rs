@@ -188,10 +188,10 @@ impl<const W: usize> Tube<W> {
     }
 
     #[inline(always)]
-    fn line(&self, axis: &Axis) -> Line<W> {
+    fn line(&self, axis: &Axis) -> Segments<W> {
         let start_m = WideVector::splat(&axis.start_m);
         let span_m = WideVector::splat(&axis.span_m);
-        Line {
+        Segments {
             bend_rad: self.bend_rad,
             curvature_1_m: self.curvature_1_m,
             start: self.local(&(start_m - self.start_m)),
@@ -368,7 +368,7 @@ fn on_arc<const W: usize>(bend_rad: Wide<W>, z_m: Wide<W>, end_z_m: Wide<W>) -> 
 }
 
 /// A segment start + t span, 0 ≤ t ≤ 1, in the axes of W sections (m).
-struct Line<const W: usize> {
+struct Segments<const W: usize> {
     bend_rad: Wide<W>,
     curvature_1_m: Wide<W>,
     start: WideVector<W>,
@@ -378,7 +378,7 @@ struct Line<const W: usize> {
     length_m: f64,
 }
 
-impl<const W: usize> Line<W> {
+impl<const W: usize> Segments<W> {
     /// The ends of the segment and the minimum of the circle's distance found from each. Each has the squared distance (m²) if the circle's
     /// nearest point is on the arc, else infinity. For W = 1 both searches run side by side in two lanes, with the same bits.
     #[inline(always)]
@@ -412,10 +412,10 @@ impl<const W: usize> Line<W> {
 
     /// The first lane, in both of two lanes.
     #[inline(always)]
-    fn duplicated(&self) -> Line<2> {
+    fn duplicated(&self) -> Segments<2> {
         let wide = |x: Wide<W>| Wide::<2>::splat(x.0[0]);
         let vector = |vector: &WideVector<W>| WideVector(vector.0.map(wide));
-        Line {
+        Segments {
             bend_rad: wide(self.bend_rad),
             curvature_1_m: wide(self.curvature_1_m),
             start: vector(&self.start),

@@ -50,11 +50,11 @@ pub(super) struct Region {
     /// Work since [`Region::take_products`], in products of two vectors.
     products: u32,
     /// The last solution, and its active set; updated in place, because both are large.
-    found: Found,
+    found: LastSolution,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Found {
+struct LastSolution {
     /// Whether the solution is valid.
     is_known: bool,
     to: Vector,
@@ -112,7 +112,7 @@ impl Region {
         row_count: 0,
         is_full: false,
         products: 0,
-        found: Found {
+        found: LastSolution {
             is_known: false,
             to: [0.0; COORDINATES_MAX],
             at: [0.0; COORDINATES_MAX],
@@ -241,7 +241,7 @@ impl Region {
         if !self.found.is_known {
             return None;
         }
-        let Found { to, at, active, .. } = &self.found;
+        let LastSolution { to, at, active, .. } = &self.found;
         let mut away = *to;
         add(&mut away, at, -1.0);
         let mut sensitivity = Sensitivity {
@@ -286,7 +286,7 @@ impl Region {
     fn continue_search(&mut self) -> Option<()> {
         let mut steps = 0;
         while let Some(row) = self.most_violated() {
-            let Found {
+            let LastSolution {
                 at,
                 travelled,
                 active,
@@ -331,7 +331,7 @@ impl Region {
 
     /// The bound that is violated most at the present point; a NaN violates nothing.
     fn most_violated(&mut self) -> Option<ConstraintRow> {
-        let Found { at, travelled, .. } = &self.found;
+        let LastSolution { at, travelled, .. } = &self.found;
         let (mut most, mut found) = (INSIDE, None);
         let mut look = |side: Side, bound: f64, violation: f64| {
             let scale = 1.0 + bound.abs();
@@ -413,7 +413,7 @@ impl ConstraintRow {
     }
 }
 
-impl Found {
+impl LastSolution {
     /// Recomputes the solution for the present bounds of the active set, and releases rows with negative
     /// multipliers. `None` if the rows are linearly dependent.
     fn hold(&mut self) -> Option<()> {

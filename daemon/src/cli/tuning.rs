@@ -39,7 +39,7 @@ mod tests {
     use crate::config::{Config, ConfigDraft};
 
     #[derive(Debug, Parser)]
-    struct Line {
+    struct CommandLine {
         #[command(flatten)]
         source: ConfigSource,
     }
@@ -49,7 +49,7 @@ mod tests {
     }
 
     fn settings(arguments: &[&str]) -> ConfigDraft {
-        let line = Line::parse_from(["cdcrd"].iter().chain(arguments));
+        let line = CommandLine::parse_from(["cdcrd"].iter().chain(arguments));
         line.source.settings().unwrap()
     }
 

@@ -127,7 +127,7 @@ impl Layers {
                 below.extend(keys);
             }
         }
-        for Place { key, offset, .. } in places {
+        for TextPlace { key, offset, .. } in places {
             self.origins.0.insert(key, origin(offset));
         }
         Ok(self)
@@ -160,7 +160,7 @@ fn read(path: &Path) -> io::Result<String> {
 
 /// A table, a key or a list element in a text.
 #[derive(Default)]
-struct Place {
+struct TextPlace {
     /// As declared: `robot.sections.length_m`.
     declared: String,
     /// As in messages: `robot.sections[1].length_m`.
@@ -172,10 +172,10 @@ struct Place {
 }
 
 /// All places in a text, in its order.
-fn places(text: &str) -> std::result::Result<Vec<Place>, toml::de::Error> {
+fn places(text: &str) -> std::result::Result<Vec<TextPlace>, toml::de::Error> {
     let mut places = Vec::new();
     let table = DeValue::Table(DeTable::parse(text)?.into_inner());
-    add_places(&table, Place::default(), &mut places);
+    add_places(&table, TextPlace::default(), &mut places);
     // The text itself.
     places.pop();
     places.sort_by_key(|place| place.offset);
@@ -183,11 +183,11 @@ fn places(text: &str) -> std::result::Result<Vec<Place>, toml::de::Error> {
 }
 
 /// Adds the places below a value, and its own.
-fn add_places(value: &DeValue, place: Place, places: &mut Vec<Place>) {
+fn add_places(value: &DeValue, place: TextPlace, places: &mut Vec<TextPlace>) {
     match value {
         DeValue::Table(table) if !keys::below(&place.declared).is_empty() => {
             for (name, value) in table {
-                let below = Place {
+                let below = TextPlace {
                     declared: keys::join(&place.declared, name.get_ref()),
                     key: keys::join(&place.key, name.get_ref()),
                     offset: name.span().start,
@@ -198,7 +198,7 @@ fn add_places(value: &DeValue, place: Place, places: &mut Vec<Place>) {
         }
         DeValue::Array(list) if keys::get(&place.declared).is_some() => {
             for (index, element) in list.iter().enumerate() {
-                let below = Place {
+                let below = TextPlace {
                     declared: place.declared.clone(),
                     key: format!("{}[{index}]", place.key),
                     offset: element.span().start,

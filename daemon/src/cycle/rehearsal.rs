@@ -41,11 +41,11 @@ pub(super) struct Rehearsal {
     /// A part of the next cycle was rehearsed.
     pub(super) took_place: bool,
     /// Longest time between two checks of the clock in each first solve: the code is cold.
-    cold_gap: Part,
+    cold_gap: RehearsedPart,
     /// The same in each second solve.
-    warm_gap: Part,
+    warm_gap: RehearsedPart,
     /// What does not check the clock.
-    rest: Part,
+    rest: RehearsedPart,
 }
 
 /// The first or the second solve before a release.
@@ -61,13 +61,13 @@ impl Rehearsal {
             state,
             followed,
             took_place: false,
-            cold_gap: Part::default(),
-            warm_gap: Part::default(),
-            rest: Part::default(),
+            cold_gap: RehearsedPart::default(),
+            warm_gap: RehearsedPart::default(),
+            rest: RehearsedPart::default(),
         }
     }
 
-    fn gap(&mut self, solve: Solve) -> &mut Part {
+    fn gap(&mut self, solve: Solve) -> &mut RehearsedPart {
         match solve {
             Solve::Cold => &mut self.cold_gap,
             Solve::Warm => &mut self.warm_gap,
@@ -87,7 +87,7 @@ impl Rehearsal {
 
 /// Recent costs of a part, and when it is tried again though they are too high.
 #[derive(Debug)]
-struct Part {
+struct RehearsedPart {
     costs: RecentCosts,
     omitted: u32,
     wait: u32,
@@ -95,7 +95,7 @@ struct Part {
     late: u32,
 }
 
-impl Default for Part {
+impl Default for RehearsedPart {
     fn default() -> Self {
         Self {
             costs: RecentCosts::default(),
@@ -107,7 +107,7 @@ impl Default for Part {
     }
 }
 
-impl Part {
+impl RehearsedPart {
     fn usual_ns(&self) -> u64 {
         self.costs.median_ns()
     }
@@ -273,7 +273,7 @@ mod tests {
     const LEFT_NS: u64 = 57 * US;
 
     /// Cycles of `count` in which a part of `cost_ns` runs.
-    fn runs(part: &mut Part, count: usize, cost_ns: u64) -> Vec<usize> {
+    fn runs(part: &mut RehearsedPart, count: usize, cost_ns: u64) -> Vec<usize> {
         let mut ran = Vec::new();
         for cycle in 0..count {
             if part.begins(LEFT_NS) {
@@ -286,7 +286,7 @@ mod tests {
 
     #[test]
     fn a_part_that_takes_too_long_is_tried_ever_more_rarely() {
-        let mut part = Part::default();
+        let mut part = RehearsedPart::default();
         let ran = runs(&mut part, 200_000, 80 * US);
         let trials: Vec<_> = ran.into_iter().filter(|cycle| *cycle > 10).collect();
         let apart: Vec<_> = trials.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -297,7 +297,7 @@ mod tests {
 
     #[test]
     fn a_part_that_becomes_expensive_delays_few_releases() {
-        let mut part = Part::default();
+        let mut part = RehearsedPart::default();
         assert_eq!(runs(&mut part, 200, 20 * US).len(), 200);
         let ran = runs(&mut part, 199, 80 * US);
         assert_eq!(ran.len(), LATE_MAX as usize, "{ran:?}");
@@ -305,7 +305,7 @@ mod tests {
 
     #[test]
     fn a_part_that_was_too_slow_for_a_while_runs_again() {
-        let mut part = Part::default();
+        let mut part = RehearsedPart::default();
         runs(&mut part, 300, 80 * US);
         let ran = runs(&mut part, 2000, 20 * US);
         let after = ran[0];

@@ -23,11 +23,11 @@ pub(super) struct ObstacleSources {
     /// A source that sends nothing for longer is silent \[ns\]; 0: no source is watched.
     timeout_ns: u64,
     holds: bool,
-    sources: Vec<Source>,
+    sources: Vec<ObstacleSource>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Source {
+struct ObstacleSource {
     sender: u64,
     /// Time at which its newest message was sent \[ns\]: the message describes its obstacles at that time.
     sent_ns: u64,
@@ -58,7 +58,7 @@ impl ObstacleSources {
     /// have died meanwhile. Clearing the list ends the watch over all sources. Each is watched again from its
     /// next obstacle with a lifetime.
     pub(super) fn note_update(&mut self, update: &ObstacleUpdate, now_ns: u64) {
-        let heard = |newest_id| Source {
+        let heard = |newest_id| ObstacleSource {
             sender: update.header.sender_id,
             sent_ns: update.header.sent_ns.min(now_ns),
             silent_since_ns: now_ns,
@@ -138,7 +138,7 @@ impl ObstacleSources {
     /// True if `known` is expired at `now_ns`: its lifetime is over, and its source, if watched, has sent a
     /// message since without renewing it.
     pub(super) fn is_expired(&self, known: &KnownObstacle, now_ns: u64) -> bool {
-        let sent_since = |source: &Source| !known.is_known_at(source.sent_ns);
+        let sent_since = |source: &ObstacleSource| !known.is_known_at(source.sent_ns);
         !known.is_known_at(now_ns) && self.watched(known.source).is_none_or(sent_since)
     }
 
@@ -152,7 +152,7 @@ impl ObstacleSources {
         }
     }
 
-    fn watched(&self, sender: u64) -> Option<&Source> {
+    fn watched(&self, sender: u64) -> Option<&ObstacleSource> {
         self.sources.iter().find(|source| source.sender == sender)
     }
 

@@ -25,7 +25,7 @@ pub(crate) struct PlaceWatch {
 }
 
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Found {
+pub(crate) enum PlaceCheck {
     /// All files are present.
     Whole,
     /// The lock file was missing and has been created again.
@@ -60,10 +60,10 @@ impl PlaceWatch {
     }
 
     /// Checks that the files are those of the start, and creates a missing lock file again.
-    pub(crate) fn check(&self) -> Found {
+    pub(crate) fn check(&self) -> PlaceCheck {
         if !is_file_at(&self.root, self.location.root()) {
             let path = self.location.root().to_owned();
-            return Found::Lost { path };
+            return PlaceCheck::Lost { path };
         }
         self.restore_access();
         let missing = self
@@ -72,7 +72,7 @@ impl PlaceWatch {
             .find(|(path, before)| inode(path) != *before);
         if let Some((path, _)) = missing {
             let path = path.clone();
-            return Found::Lost { path };
+            return PlaceCheck::Lost { path };
         }
         self.check_lock()
     }
@@ -88,15 +88,15 @@ impl PlaceWatch {
         }
     }
 
-    fn check_lock(&self) -> Found {
+    fn check_lock(&self) -> PlaceCheck {
         let path = self.location.lock_file(&self.robot);
         let mut held = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
         if is_file_at(&held, &path) {
-            return Found::Whole;
+            return PlaceCheck::Whole;
         }
         if path.symlink_metadata().is_ok() {
             // Another daemon has created it.
-            return Found::Lost { path };
+            return PlaceCheck::Lost { path };
         }
         let made = lock(&path, &self.location, &self.robot).and_then(|mut file| {
             write_process_id(&mut file).map_err(|cause| file_error(&path, cause))?;
@@ -105,9 +105,9 @@ impl PlaceWatch {
         match made {
             Ok(file) => {
                 *held = file;
-                Found::Restored
+                PlaceCheck::Restored
             }
-            Err(_) => Found::Lost { path },
+            Err(_) => PlaceCheck::Lost { path },
         }
     }
 
@@ -164,7 +164,7 @@ mod tests {
         for group_id in [None, Some(GROUP)] {
             watch.group_id = group_id;
             let assert_set_back = || {
-                assert_eq!(watch.check(), Found::Whole);
+                assert_eq!(watch.check(), PlaceCheck::Whole);
                 assert!(acl::is_for(&watch.root, group_id), "{group_id:?}");
             };
             let open = Permissions::from_mode(0o777);

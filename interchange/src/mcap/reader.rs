@@ -98,7 +98,7 @@ pub struct Reader<R> {
 }
 
 /// An item without borrowed data.
-enum Found {
+enum OwnedItem {
     Message(mcap::records::MessageHeader),
     Item(Item<'static>),
 }
@@ -137,8 +137,8 @@ impl<R: Read> Reader<R> {
         self.ended |= !matches!(found, Ok(Some(_)));
         Ok(match found? {
             None => None,
-            Some(Found::Item(item)) => Some(item),
-            Some(Found::Message(header)) => {
+            Some(OwnedItem::Item(item)) => Some(item),
+            Some(OwnedItem::Message(header)) => {
                 let unknown = || McapError::UnknownChannel(header.sequence, header.channel_id);
                 let channel = self.channels.get(&header.channel_id);
                 Some(Item::Message(Message {
@@ -153,7 +153,7 @@ impl<R: Read> Reader<R> {
         })
     }
 
-    fn find(&mut self) -> Result<Option<Found>, ReadError> {
+    fn find(&mut self) -> Result<Option<OwnedItem>, ReadError> {
         while !self.ended {
             let (opcode, data) = match self.events.next_event() {
                 None => break,
@@ -170,7 +170,7 @@ impl<R: Read> Reader<R> {
                 Record::Message { header, data } => {
                     self.data.clear();
                     self.data.extend_from_slice(&data);
-                    return Ok(Some(Found::Message(header)));
+                    return Ok(Some(OwnedItem::Message(header)));
                 }
                 Record::Schema { header, data } => {
                     let text = String::from_utf8_lossy(&data).into_owned();
@@ -188,7 +188,7 @@ impl<R: Read> Reader<R> {
                     self.channels.insert(channel.id, known);
                 }
                 Record::Attachment { header, data, .. } => {
-                    return Ok(Some(Found::Item(Item::Attachment {
+                    return Ok(Some(OwnedItem::Item(Item::Attachment {
                         name: header.name,
                         media_type: header.media_type,
                         time_ns: header.log_time,
@@ -196,7 +196,7 @@ impl<R: Read> Reader<R> {
                     })));
                 }
                 Record::Metadata(metadata) => {
-                    return Ok(Some(Found::Item(Item::Metadata {
+                    return Ok(Some(OwnedItem::Item(Item::Metadata {
                         name: metadata.name,
                         values: metadata.metadata,
                     })));

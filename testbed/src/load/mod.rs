@@ -31,7 +31,7 @@ use crate::interrupt;
 use crate::system::cores::Cores;
 use crate::system::thread::pin;
 pub use done::Done;
-use task::{Signals, Task};
+use task::{Signals, ThreadJob};
 
 /// Time limit until all threads of a load work.
 const START_TIMEOUT: Duration = Duration::from_secs(20);
@@ -221,8 +221,8 @@ impl Drop for RunningLoad {
     }
 }
 
-fn carry_out(task: Task, signals: &Signals) -> Done {
-    let Task { job, core } = task;
+fn carry_out(task: ThreadJob, signals: &Signals) -> Done {
+    let ThreadJob { job, core } = task;
     let name = job.name();
     let result = match core {
         Some(core) if !pin(core) => Err(anyhow!("the system does not let it run on core {core}")),

@@ -10,7 +10,7 @@ use super::{Done, Load, disk, flood, memory, processor, stress_ng, visitors};
 use crate::system::cores::Cores;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Task {
+pub(super) struct ThreadJob {
     pub(super) job: Job,
     /// Core of the thread; `None` if the job sets its own affinity.
     pub(super) core: Option<usize>,
@@ -93,7 +93,11 @@ impl Signals {
     }
 }
 
-pub(super) fn tasks(load: Load, cores: &Cores, target: Option<&Location>) -> Result<Vec<Task>> {
+pub(super) fn tasks(
+    load: Load,
+    cores: &Cores,
+    target: Option<&Location>,
+) -> Result<Vec<ThreadJob>> {
     let target = || {
         let name = load.name();
         let missing = || format!("the load {name} needs a daemon to load");
@@ -120,7 +124,7 @@ pub(super) fn tasks(load: Load, cores: &Cores, target: Option<&Location>) -> Res
             let every = every_core(cores);
             [each(&every, &Job::Spin), each(&every, &copy(&every))].concat()
         }
-        Load::StressNg => vec![Task {
+        Load::StressNg => vec![ThreadJob {
             job: Job::StressNg(cores.clone()),
             core: None,
         }],
@@ -128,11 +132,11 @@ pub(super) fn tasks(load: Load, cores: &Cores, target: Option<&Location>) -> Res
 }
 
 /// Assigns the jobs to the cores in turn.
-fn spread(jobs: Vec<Job>, cores: &[usize]) -> Vec<Task> {
+fn spread(jobs: Vec<Job>, cores: &[usize]) -> Vec<ThreadJob> {
     let cores = cores.iter().copied().cycle();
     let tasks = jobs.into_iter().zip(cores);
     tasks
-        .map(|(job, core)| Task {
+        .map(|(job, core)| ThreadJob {
             job,
             core: Some(core),
         })
@@ -152,7 +156,7 @@ mod tests {
     use super::*;
     use cdcr_process::PrivatePlace;
 
-    fn cores_of(tasks: &[Task]) -> Vec<usize> {
+    fn cores_of(tasks: &[ThreadJob]) -> Vec<usize> {
         tasks.iter().filter_map(|task| task.core).collect()
     }
 

@@ -51,7 +51,7 @@ pub(crate) struct Arguments {
     #[command(flatten)]
     pub(crate) target: Target,
     #[command(subcommand)]
-    pub(crate) task: Task,
+    pub(crate) task: CtlCommand,
 }
 
 /// Which daemon is meant.
@@ -98,7 +98,7 @@ impl Target {
 
 /// What to do.
 #[derive(Debug, Subcommand)]
-pub(crate) enum Task {
+pub(crate) enum CtlCommand {
     /// Run the paper's spiral on a private daemon and report error, timing and what limits them
     #[command(
         after_help = "Example:\n  cdcrctl demo --sections 3 --out demo-pictures\n\n\

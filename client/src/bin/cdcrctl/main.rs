@@ -55,7 +55,7 @@ use cdcr_shared_types::codes::RequestKind;
 use clap::Parser;
 use iceoryx2::prelude::{LogLevel, set_log_level};
 
-use args::{Arguments, Task};
+use args::{Arguments, CtlCommand};
 use done::{Done, exit_code};
 
 fn main() -> ExitCode {
@@ -71,32 +71,32 @@ fn main() -> ExitCode {
 fn run(arguments: &Arguments) -> anyhow::Result<Done> {
     let target = &arguments.target;
     match &arguments.task {
-        Task::Demo(options) => demo::run(options),
-        Task::Ref(options) => feed::run(target, options),
-        Task::Goto(options) => feed::go(&target.connect()?, &options.way, |_| options.point),
-        Task::Jog(options) => feed::go(&target.connect()?, &options.way, |tip_m| {
+        CtlCommand::Demo(options) => demo::run(options),
+        CtlCommand::Ref(options) => feed::run(target, options),
+        CtlCommand::Goto(options) => feed::go(&target.connect()?, &options.way, |_| options.point),
+        CtlCommand::Jog(options) => feed::go(&target.connect()?, &options.way, |tip_m| {
             core::array::from_fn(|i| tip_m[i] + options.by[i])
         }),
-        Task::Plant(options) => plant::run(target, options),
-        Task::Track => request::run(target, RequestKind::Track, None),
-        Task::Hold(options) => request::run(target, RequestKind::Hold, options.wait),
-        Task::Home(options) => request::run(target, RequestKind::Home, options.wait),
-        Task::Stop => request::run(target, RequestKind::Stop, None),
-        Task::Reset(options) => reset::run(target, options),
-        Task::Top(options) => top::run(target, options),
-        Task::Status(options) => show_status::run(target, options),
-        Task::Incidents(options) => incidents::run(target, options),
-        Task::Settings(options) => settings::run(target, options),
-        Task::Echo(options) => echo::run(target, options),
-        Task::Hz(options) => hz::run(target, options),
-        Task::Plot(options) => plot::run(target, options),
-        Task::Record(options) => recording::record::run(target, options),
-        Task::Scope(options) => recording::scope::run(target, options),
-        Task::Info(options) => recording::info::run(options),
-        Task::Report(options) => recording::report::run(options),
-        Task::Convert(options) => recording::convert::run(options),
-        Task::Replay(options) => recording::replay::run(target, options),
-        Task::Obstacle(options) => obstacle::run(target, options),
-        Task::Calibrate(options) => calibrate::run(target, options),
+        CtlCommand::Plant(options) => plant::run(target, options),
+        CtlCommand::Track => request::run(target, RequestKind::Track, None),
+        CtlCommand::Hold(options) => request::run(target, RequestKind::Hold, options.wait),
+        CtlCommand::Home(options) => request::run(target, RequestKind::Home, options.wait),
+        CtlCommand::Stop => request::run(target, RequestKind::Stop, None),
+        CtlCommand::Reset(options) => reset::run(target, options),
+        CtlCommand::Top(options) => top::run(target, options),
+        CtlCommand::Status(options) => show_status::run(target, options),
+        CtlCommand::Incidents(options) => incidents::run(target, options),
+        CtlCommand::Settings(options) => settings::run(target, options),
+        CtlCommand::Echo(options) => echo::run(target, options),
+        CtlCommand::Hz(options) => hz::run(target, options),
+        CtlCommand::Plot(options) => plot::run(target, options),
+        CtlCommand::Record(options) => recording::record::run(target, options),
+        CtlCommand::Scope(options) => recording::scope::run(target, options),
+        CtlCommand::Info(options) => recording::info::run(options),
+        CtlCommand::Report(options) => recording::report::run(options),
+        CtlCommand::Convert(options) => recording::convert::run(options),
+        CtlCommand::Replay(options) => recording::replay::run(target, options),
+        CtlCommand::Obstacle(options) => obstacle::run(target, options),
+        CtlCommand::Calibrate(options) => calibrate::run(target, options),
     }
 }

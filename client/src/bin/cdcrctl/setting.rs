@@ -9,7 +9,7 @@ use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::parameters::UserParameter;
 use cdcr_shared_types::codes::Codes;
 use cdcr_shared_types::limits::PERIOD_MS_MAX;
-use cdcr_shared_types::message::{Meaning, Struct as _, Value as Part, ValueMut};
+use cdcr_shared_types::message::{Meaning, Struct as _, Value as FieldValue, ValueMut};
 use cdcr_shared_types::{SolverSettings, Status};
 use serde_json::{Value, json};
 
@@ -63,11 +63,11 @@ impl Setting {
         settings.visit(&mut |field, part| {
             if field.name == self.field {
                 value = match (part, field.meaning) {
-                    (Part::U32(code), Meaning::Code(codes)) => json!(codes.text(code)),
-                    (Part::U32(count), _) => json!(count),
-                    (Part::U64(ns), _) if self == BUDGET => json!(ns as f64 / 1e6),
-                    (Part::U64(whole), _) => json!(whole),
-                    (Part::F64(number), _) => json!(number),
+                    (FieldValue::U32(code), Meaning::Code(codes)) => json!(codes.text(code)),
+                    (FieldValue::U32(count), _) => json!(count),
+                    (FieldValue::U64(ns), _) if self == BUDGET => json!(ns as f64 / 1e6),
+                    (FieldValue::U64(whole), _) => json!(whole),
+                    (FieldValue::F64(number), _) => json!(number),
                     _ => Value::Null,
                 };
             }

@@ -64,7 +64,7 @@ pub(crate) fn vector(size: f64) -> impl Strategy<Value = Vector3<f64>> {
 
 /// Position of an obstacle relative to the robot, so that special positions occur.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Place {
+pub(crate) enum ObstaclePlace {
     /// Anywhere around the robot.
     Around(Vector3<f64>, Vector3<f64>),
     /// From near a point of the body to any point.
@@ -78,31 +78,35 @@ pub(crate) enum Place {
     Along(usize, Vector3<f64>),
 }
 
-pub(crate) fn places() -> impl Strategy<Value = Place> {
+pub(crate) fn places() -> impl Strategy<Value = ObstaclePlace> {
     let section = 0..SECTIONS_MAX;
     let share = 0.0..1.0_f64;
     let offset = prop_oneof![vector(0.1), vector(1e-4), Just(Vector3::zeros())];
     prop_oneof![
-        (vector(1.0), vector(1.0)).prop_map(|(a, b)| Place::Around(a, b)),
+        (vector(1.0), vector(1.0)).prop_map(|(a, b)| ObstaclePlace::Around(a, b)),
         (section.clone(), share.clone(), offset.clone(), vector(0.6))
-            .prop_map(|(j, s, a, b)| Place::AtBody(j, s, a, b)),
+            .prop_map(|(j, s, a, b)| ObstaclePlace::AtBody(j, s, a, b)),
         ([section.clone(), section.clone()], [share.clone(), share])
-            .prop_map(|(j, s)| Place::Through(j, s)),
+            .prop_map(|(j, s)| ObstaclePlace::Through(j, s)),
         (section.clone(), offset.clone(), vector(0.3), any::<bool>())
-            .prop_map(|(j, a, b, flat)| Place::AtCentre(j, a, b, flat)),
-        (section, offset).prop_map(|(j, a)| Place::Along(j, a)),
+            .prop_map(|(j, a, b, flat)| ObstaclePlace::AtCentre(j, a, b, flat)),
+        (section, offset).prop_map(|(j, a)| ObstaclePlace::Along(j, a)),
     ]
 }
 
 /// The segment of a place; its start is the centre of a sphere.
-pub(crate) fn segment(robot: &Robot, shape: &Configuration, place: Place) -> [Vector3<f64>; 2] {
+pub(crate) fn segment(
+    robot: &Robot,
+    shape: &Configuration,
+    place: ObstaclePlace,
+) -> [Vector3<f64>; 2] {
     let n = robot.section_count();
     let frames = robot.section_frames(shape);
     match place {
-        Place::Around(a, b) => [a, b],
-        Place::AtBody(j, s, offset, b) => [robot.body_point(shape, j % n, s) + offset, b],
-        Place::Through(j, s) => [0, 1].map(|i| robot.body_point(shape, j[i] % n, s[i])),
-        Place::AtCentre(j, offset, direction, flat) => {
+        ObstaclePlace::Around(a, b) => [a, b],
+        ObstaclePlace::AtBody(j, s, offset, b) => [robot.body_point(shape, j % n, s) + offset, b],
+        ObstaclePlace::Through(j, s) => [0, 1].map(|i| robot.body_point(shape, j[i] % n, s[i])),
+        ObstaclePlace::AtCentre(j, offset, direction, flat) => {
             let j = j % n;
             let (sin, cos) = shape.direction_rad(j).sin_cos();
             let radius_m = robot.sections()[j].length_m / shape.bend_rad(j).max(0.2);
@@ -118,7 +122,7 @@ pub(crate) fn segment(robot: &Robot, shape: &Configuration, place: Place) -> [Ve
             let direction = frames[j].rotation * direction;
             [centre_m - direction * 0.7, centre_m + direction]
         }
-        Place::Along(j, offset) => {
+        ObstaclePlace::Along(j, offset) => {
             let (frame, length_m) = (frames[j % n], robot.sections()[j % n].length_m);
             let along = frame.rotation.column(2).into_owned();
             let start_m = frame.position_m + offset - along * (0.3 * length_m);

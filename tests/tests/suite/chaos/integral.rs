@@ -243,12 +243,12 @@ mod tests {
     const T_NS: u64 = 5_000_000;
 
     /// Records of a driver's robot with commands that are valid for three periods.
-    struct Line {
+    struct CommandedRecords {
         integral: Integral,
         last: Telemetry,
     }
 
-    impl Line {
+    impl CommandedRecords {
         fn new(interface: Interface) -> Self {
             let mut last = Telemetry {
                 mode: Mode::Holding.code(),
@@ -305,7 +305,7 @@ mod tests {
 
     #[test]
     fn rates_grow_from_those_of_the_last_command_or_from_rest() {
-        let mut line = Line::new(Interface::Velocity);
+        let mut line = CommandedRecords::new(Interface::Velocity);
         assert_eq!(line.next(0.0, 1.0, |_| {}), Ok(()));
         let early = |record: &mut Telemetry| record.previous_rate_rad_s.fill(0.0);
         assert!(line.next(0.005, 1.0, early).is_err());
@@ -326,7 +326,7 @@ mod tests {
             (Interface::Position, 0.01 + 2.0 * 0.005),
             (Interface::Velocity, 0.01 + 2.0 * 0.01),
         ] {
-            let mut line = Line::new(interface);
+            let mut line = CommandedRecords::new(interface);
             assert_eq!(line.next(0.0, 2.0, |_| {}), Ok(()));
             assert_eq!(line.next(0.01, 2.0, |_| {}), Ok(()));
             let two = |record: &mut Telemetry| record.elapsed_ns = 2 * T_NS;
@@ -345,23 +345,23 @@ mod tests {
             record.measurement.kind = MeasurementKind::Configuration.code();
             record.measurement.bend_rad[0] = 0.3;
         };
-        let mut line = Line::new(Interface::Position);
+        let mut line = CommandedRecords::new(Interface::Position);
         assert!(line.next(0.2, 0.0, begins).is_err(), "not where they are");
-        let mut line = Line::new(Interface::Position);
+        let mut line = CommandedRecords::new(Interface::Position);
         assert_eq!(line.next(0.3, 0.0, begins), Ok(()));
         let again = |record: &mut Telemetry| record.motor_rad[0] = 0.4;
         assert!(line.next(0.4, 0.0, again).is_err(), "twice");
-        let mut line = Line::new(Interface::Position);
+        let mut line = CommandedRecords::new(Interface::Position);
         let unasked = |record: &mut Telemetry| record.motor_rad[0] = 0.3;
         assert!(line.next(0.3, 0.0, unasked).is_err());
         let beside = |record: &mut Telemetry| {
             begins(record);
             record.measurement.bend_rad[0] = 0.31;
         };
-        let mut line = Line::new(Interface::Position);
+        let mut line = CommandedRecords::new(Interface::Position);
         assert!(line.next(0.3, 0.0, beside).is_err(), "not measured there");
         // At the first measurement it does.
-        let mut line = Line::new(Interface::Position);
+        let mut line = CommandedRecords::new(Interface::Position);
         line.last.measurement_state = MeasurementState::None.code();
         let first = |record: &mut Telemetry| {
             begins(record);
@@ -379,7 +379,7 @@ mod tests {
             (Interface::Velocity, [5e6, 10e6, 15e6].map(|ns| ns * 1e-9)),
         ];
         let hold_up = |interface, led_rad: [f64; 3]| {
-            let mut line = Line::moving(interface);
+            let mut line = CommandedRecords::moving(interface);
             // By the release after this one the command has run out.
             let last = if interface == Interface::Position {
                 1
@@ -408,13 +408,13 @@ mod tests {
             assert!(line.next(end_rad + 0.005, 0.5, rests).is_err());
         }
         // A robot that is commanded to rest meanwhile returns there; a simulated one was measured meanwhile.
-        let mut line = Line::moving(Interface::Position);
+        let mut line = CommandedRecords::moving(Interface::Position);
         assert_eq!(line.next(0.005, 1.0, stale), Ok(()));
         for _ in 0..3 {
             assert_eq!(line.next(0.005, 0.0, rests), Ok(()));
         }
         // The first command after rest may not have left.
-        let mut line = Line::new(Interface::Position);
+        let mut line = CommandedRecords::new(Interface::Position);
         assert_eq!(line.next(0.0, 1.0, |_| {}), Ok(()));
         assert!(line.next(0.005, 1.0, stale).is_err());
         let (mut line, at_rad) = hold_up(obeyed[0].0, obeyed[0].1);
@@ -424,7 +424,7 @@ mod tests {
 
     #[test]
     fn after_lost_records_it_goes_on_where_the_inputs_are_new() {
-        let mut line = Line::new(Interface::Position);
+        let mut line = CommandedRecords::new(Interface::Position);
         stale(&mut line.last);
         let lost = line.last;
         assert_eq!(line.integral.check(None, &lost), Ok(()));

@@ -105,16 +105,16 @@ const ARROWS: &[Arrow] = &[
     ),
 ];
 
-pub(crate) type Place = (Mode, Reason);
+pub(crate) type ModeReason = (Mode, Reason);
 
-pub(crate) fn place(record: &Telemetry) -> Result<Place, String> {
+pub(crate) fn place(record: &Telemetry) -> Result<ModeReason, String> {
     let known = |unknown: cdcr_shared_types::codes::UnknownCode| unknown.to_string();
     let mode = Mode::try_from(record.mode).map_err(known)?;
     Ok((mode, Reason::try_from(record.reason).map_err(known)?))
 }
 
 /// Adds the places reached by one arrow that satisfies `may`.
-fn step(places: &mut BTreeSet<Place>, may: impl Fn(&Arrow) -> bool) {
+fn step(places: &mut BTreeSet<ModeReason>, may: impl Fn(&Arrow) -> bool) {
     let leaving = |arrow: &&Arrow| may(arrow) && places.iter().any(|p| arrow.from.contains(&p.0));
     let reached: Vec<_> = ARROWS
         .iter()
@@ -126,7 +126,7 @@ fn step(places: &mut BTreeSet<Place>, may: impl Fn(&Arrow) -> bool) {
 
 /// Whether one cycle can lead from one place to the other. It allows at most one change by an event, then its
 /// accepted requests, then at most one fault found by its solve.
-fn one_cycle_leads(from: Place, to: Place, accepted: &[RequestKind]) -> bool {
+fn one_cycle_leads(from: ModeReason, to: ModeReason, accepted: &[RequestKind]) -> bool {
     let mut places = BTreeSet::from([from]);
     step(&mut places, |arrow| arrow.by == By::World);
     for _ in accepted {
@@ -142,7 +142,7 @@ fn one_cycle_leads(from: Place, to: Place, accepted: &[RequestKind]) -> bool {
 }
 
 /// Whether any number of cycles with any requests can do so, for records with missing ones in between.
-fn some_cycles_lead(from: Place, to: Place) -> bool {
+fn some_cycles_lead(from: ModeReason, to: ModeReason) -> bool {
     let mut places = BTreeSet::from([from]);
     for _ in ARROWS {
         step(&mut places, |_| true);
@@ -153,8 +153,8 @@ fn some_cycles_lead(from: Place, to: Place) -> bool {
 /// A change that waits for the events with its cause.
 #[derive(Debug, Clone, Copy)]
 struct Change {
-    from: Place,
-    to: Place,
+    from: ModeReason,
+    to: ModeReason,
     cycle: u64,
     gather: u64,
     number: u64,
@@ -166,7 +166,7 @@ struct Change {
 pub(crate) struct ModeWatch {
     waiting: VecDeque<Change>,
     accepted: VecDeque<(u64, RequestKind)>,
-    last: Option<Place>,
+    last: Option<ModeReason>,
     records: u64,
     /// Number of the last record after a gap.
     gap: Option<u64>,
@@ -277,9 +277,9 @@ impl ModeWatch {
 mod tests {
     use super::*;
 
-    const HOLDING: Place = (Mode::Holding, Reason::Request);
-    const TRACKING: Place = (Mode::Tracking, Reason::Request);
-    const STOPPED: Place = (Mode::Stopped, Reason::Request);
+    const HOLDING: ModeReason = (Mode::Holding, Reason::Request);
+    const TRACKING: ModeReason = (Mode::Tracking, Reason::Request);
+    const STOPPED: ModeReason = (Mode::Stopped, Reason::Request);
 
     #[test]
     fn a_cycle_goes_along_the_arrows_only() {
@@ -301,7 +301,7 @@ mod tests {
         assert!(some_cycles_lead(STOPPED, TRACKING));
     }
 
-    fn record(number: u64, place: Place) -> Telemetry {
+    fn record(number: u64, place: ModeReason) -> Telemetry {
         Telemetry {
             cycle: number,
             gather: number,

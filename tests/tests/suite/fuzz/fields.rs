@@ -66,34 +66,34 @@ impl fmt::Display for Number<'_> {
 
 /// A step of the path to a number.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Part {
+pub(crate) enum PathStep {
     Field(&'static str),
     Index(usize),
 }
 
 /// The path to a number, such as `points[3].time_ns`.
-pub(crate) fn name(path: &[Part]) -> String {
+pub(crate) fn name(path: &[PathStep]) -> String {
     let mut text = String::new();
     for part in path {
         match part {
-            Part::Field(field) if text.is_empty() => text.push_str(field),
-            Part::Field(field) => text.extend([".", field]),
-            Part::Index(index) => text.extend(["[", &index.to_string(), "]"]),
+            PathStep::Field(field) if text.is_empty() => text.push_str(field),
+            PathStep::Field(field) => text.extend([".", field]),
+            PathStep::Index(index) => text.extend(["[", &index.to_string(), "]"]),
         }
     }
     text
 }
 
 /// Callback for each number.
-pub(crate) type Visit<'v> = dyn FnMut(&[Part], Number<'_>) + 'v;
+pub(crate) type Visit<'v> = dyn FnMut(&[PathStep], Number<'_>) + 'v;
 
 /// A structure of numbers.
 pub(crate) trait Fields {
     /// Visits every number in the order of the layout.
-    fn walk(&mut self, path: &mut Vec<Part>, visit: &mut Visit<'_>);
+    fn walk(&mut self, path: &mut Vec<PathStep>, visit: &mut Visit<'_>);
 
     /// Visits every number in the order of the layout.
-    fn for_each(&mut self, mut visit: impl FnMut(&[Part], Number<'_>))
+    fn for_each(&mut self, mut visit: impl FnMut(&[PathStep], Number<'_>))
     where
         Self: Sized,
     {
@@ -132,12 +132,12 @@ pub(crate) trait Fields {
 }
 
 impl<T: Struct> Fields for T {
-    fn walk(&mut self, path: &mut Vec<Part>, visit: &mut Visit<'_>) {
+    fn walk(&mut self, path: &mut Vec<PathStep>, visit: &mut Visit<'_>) {
         walk(ValueMut::Struct(self), path, visit);
     }
 }
 
-fn walk(value: ValueMut<'_>, path: &mut Vec<Part>, visit: &mut Visit<'_>) {
+fn walk(value: ValueMut<'_>, path: &mut Vec<PathStep>, visit: &mut Visit<'_>) {
     match value {
         ValueMut::U8(_) => unreachable!("only the daemon sends text"),
         ValueMut::U32(number) => visit(path, Number::U32(number)),
@@ -145,13 +145,13 @@ fn walk(value: ValueMut<'_>, path: &mut Vec<Part>, visit: &mut Visit<'_>) {
         ValueMut::F64(number) => visit(path, Number::F64(number)),
         ValueMut::Array(array) => {
             for index in 0..array.count() {
-                path.push(Part::Index(index));
+                path.push(PathStep::Index(index));
                 walk(array.element_mut(index), path, visit);
                 path.pop();
             }
         }
         ValueMut::Struct(message) => message.visit_mut(&mut |field, value| {
-            path.push(Part::Field(field.name));
+            path.push(PathStep::Field(field.name));
             walk(value, path, visit);
             path.pop();
         }),
@@ -164,12 +164,12 @@ macro_rules! fields {
         impl $crate::fuzz::fields::Fields for $type {
             fn walk(
                 &mut self,
-                path: &mut Vec<$crate::fuzz::fields::Part>,
+                path: &mut Vec<$crate::fuzz::fields::PathStep>,
                 visit: &mut $crate::fuzz::fields::Visit<'_>,
             ) {
                 let Self { $($field),+ } = self;
                 $(
-                    path.push($crate::fuzz::fields::Part::Field(stringify!($field)));
+                    path.push($crate::fuzz::fields::PathStep::Field(stringify!($field)));
                     visit(path, $crate::fuzz::fields::Number::U32($field));
                     path.pop();
                 )+

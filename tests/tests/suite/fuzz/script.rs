@@ -84,7 +84,7 @@ impl Step {
 
     fn for_each(
         &mut self,
-        visit: impl FnMut(&[crate::fuzz::fields::Part], crate::fuzz::fields::Number<'_>),
+        visit: impl FnMut(&[crate::fuzz::fields::PathStep], crate::fuzz::fields::Number<'_>),
     ) {
         match self {
             Self::Robot(fields) => fields.for_each(visit),

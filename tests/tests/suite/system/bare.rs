@@ -19,7 +19,7 @@ fn bare(place: &Place, arguments: &[&str]) -> Command {
 }
 
 /// One line of CSV.
-struct Line {
+struct CycleRow {
     cycle: u64,
     due_ns: u64,
     start_ns: u64,
@@ -30,13 +30,13 @@ struct Line {
     cause: u32,
 }
 
-fn lines(csv: &str) -> Vec<Line> {
+fn lines(csv: &str) -> Vec<CycleRow> {
     let mut lines = csv.lines();
     assert_eq!(lines.next(), Some(BARE_COLUMNS));
     lines.map(line).collect()
 }
 
-fn line(line: &str) -> Line {
+fn line(line: &str) -> CycleRow {
     let columns: Vec<&str> = line.split(',').collect();
     assert_eq!(columns.len(), BARE_COLUMNS.split(',').count(), "{line}");
     let number = |index: usize| columns[index].parse::<u64>().unwrap();
@@ -50,7 +50,7 @@ fn line(line: &str) -> Line {
     for count in [columns[7], columns[8]] {
         assert!(count.is_empty() || count.parse::<u64>().is_ok(), "{line}");
     }
-    Line {
+    CycleRow {
         cycle: number(0),
         due_ns: number(1),
         start_ns: number(2),

@@ -66,7 +66,7 @@ fn every_command_shows_an_example() {
 fn negative_vectors_are_values_and_not_options() {
     let line = "cdcrctl ref line --start -0.1,0,0.8 --velocity -0.01,0,0";
     let parsed = Arguments::try_parse_from(line.split(' ')).expect("legal");
-    let Task::Ref(RefOptions {
+    let CtlCommand::Ref(RefOptions {
         curve: Curve::Line(line),
     }) = parsed.task
     else {

@@ -24,7 +24,7 @@ pub(super) struct SelfContact {
 }
 
 /// A point of the backbone.
-struct Place {
+struct BackbonePoint {
     section: usize,
     /// Distance from the base along the backbone \[m\].
     along_m: f64,
@@ -33,14 +33,14 @@ struct Place {
 }
 
 /// Points of the backbone, base first.
-fn places(robot: &Robot, shape: &Configuration) -> Vec<Place> {
+fn places(robot: &Robot, shape: &Configuration) -> Vec<BackbonePoint> {
     let (mut places, mut base_m) = (Vec::new(), 0.0);
     for (section, geometry) in robot.sections().iter().enumerate() {
         let count = (geometry.length_m / (SPACING * geometry.body_radius_m)).ceil();
         let count = count.clamp(1.0, POINTS_MAX) as usize;
         places.extend((0..=count).map(|k| {
             let share = k as f64 / count as f64;
-            Place {
+            BackbonePoint {
                 section,
                 along_m: base_m + share * geometry.length_m,
                 point_m: robot.body_point(shape, section, share),

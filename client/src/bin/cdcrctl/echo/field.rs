@@ -2,7 +2,7 @@
 
 use anyhow::bail;
 use cdcr_client::counted;
-use cdcr_shared_types::message::{Field, Meaning, Struct, Value as Part};
+use cdcr_shared_types::message::{Field, Meaning, Struct, Value as FieldValue};
 use serde_json::{Map, Value};
 
 use super::json::{self, shown_name};
@@ -10,13 +10,13 @@ use super::json::{self, shown_name};
 /// Fails for a name that no such message has, and for an index beyond its array. A field or an index that only other messages use is none: kinds
 /// of measurements, obstacles and events come and go.
 pub(crate) fn check(message: &dyn Struct, paths: &[String]) -> anyhow::Result<()> {
-    let check = |path: &String| check_part(Part::Struct(message), None, path, Some(path));
+    let check = |path: &String| check_part(FieldValue::Struct(message), None, path, Some(path));
     paths.iter().try_for_each(check)
 }
 
 /// `count`: elements of an array of which this robot uses a part. `rest`: end of the path from here on.
 fn check_part(
-    value: Part<'_>,
+    value: FieldValue<'_>,
     count: Option<usize>,
     path: &str,
     rest: Option<&str>,
@@ -27,7 +27,7 @@ fn check_part(
         None => (rest, None),
     };
     match value {
-        Part::Struct(message) => {
+        FieldValue::Struct(message) => {
             let mut checked = None;
             let mut names = Vec::new();
             message.visit(&mut |field, value| {
@@ -56,7 +56,7 @@ fn check_part(
                 )
             })
         }
-        Part::Array(array) => {
+        FieldValue::Array(array) => {
             let count = count.unwrap_or(array.count());
             let name = &path[..path.len() - rest.len() - 1];
             match part.parse() {

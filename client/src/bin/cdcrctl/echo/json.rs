@@ -1,7 +1,7 @@
 //! Converts every message to JSON: its fields, codes as words, only the used part of each array.
 
 use cdcr_client::text;
-use cdcr_shared_types::message::{Array, Field, Meaning, Struct, Value as Part};
+use cdcr_shared_types::message::{Array, Field, Meaning, Struct, Value as FieldValue};
 use serde_json::{Map, Value, json};
 
 pub(crate) fn message(message: &dyn Struct) -> Value {
@@ -14,15 +14,17 @@ pub(crate) fn message(message: &dyn Struct) -> Value {
     Value::Object(object)
 }
 
-fn insert(object: &mut Map<String, Value>, field: &Field, part: Part<'_>, used: usize) {
+fn insert(object: &mut Map<String, Value>, field: &Field, part: FieldValue<'_>, used: usize) {
     let value = match (field.meaning, part) {
         (Meaning::Reserved | Meaning::Length, _) => return,
-        (Meaning::Code(codes), Part::U32(code)) => json!(codes.text(code)),
-        (Meaning::Yes, Part::U32(yes)) => json!(yes != 0),
-        (Meaning::OrNone, Part::U32(u32::MAX)) => Value::Null,
-        (Meaning::Bits(all), Part::U32(bits)) => return insert_bits(object, field.name, all, bits),
-        (Meaning::Text, Part::Array(bytes)) => json!(text_of(bytes)),
-        (Meaning::Per(codes, first), Part::Array(counts)) => {
+        (Meaning::Code(codes), FieldValue::U32(code)) => json!(codes.text(code)),
+        (Meaning::Yes, FieldValue::U32(yes)) => json!(yes != 0),
+        (Meaning::OrNone, FieldValue::U32(u32::MAX)) => Value::Null,
+        (Meaning::Bits(all), FieldValue::U32(bits)) => {
+            return insert_bits(object, field.name, all, bits);
+        }
+        (Meaning::Text, FieldValue::Array(bytes)) => json!(text_of(bytes)),
+        (Meaning::Per(codes, first), FieldValue::Array(counts)) => {
             let named = codes.values.iter().enumerate().skip(first);
             let named =
                 named.map(|(at, (_, _, text))| ((*text).to_owned(), plain(counts.element(at), 0)));
@@ -66,21 +68,21 @@ fn insert_bits(object: &mut Map<String, Value>, name: &str, all: &[(u32, &str, &
 
 pub(crate) fn text_of(bytes: &dyn Array) -> String {
     let bytes = (0..bytes.count()).map(|at| match bytes.element(at) {
-        Part::U8(byte) => byte,
+        FieldValue::U8(byte) => byte,
         _ => 0,
     });
     text(&bytes.collect::<Vec<_>>())
 }
 
 /// Numbers, with null for NaN and infinity; the first `used` elements of an array.
-fn plain(part: Part<'_>, used: usize) -> Value {
+fn plain(part: FieldValue<'_>, used: usize) -> Value {
     match part {
-        Part::U8(number) => json!(number),
-        Part::U32(number) => json!(number),
-        Part::U64(number) => json!(number),
-        Part::F64(number) => json!(number),
-        Part::Array(array) => (0..used).map(|at| plain(array.element(at), 0)).collect(),
-        Part::Struct(part) => message(part),
+        FieldValue::U8(number) => json!(number),
+        FieldValue::U32(number) => json!(number),
+        FieldValue::U64(number) => json!(number),
+        FieldValue::F64(number) => json!(number),
+        FieldValue::Array(array) => (0..used).map(|at| plain(array.element(at), 0)).collect(),
+        FieldValue::Struct(part) => message(part),
     }
 }
 

@@ -285,7 +285,7 @@ impl Screen<'_> {
     }
 
     fn events(&self, rows: u16) -> Vec<Line<'static>> {
-        let line = |line: &super::seen::Line| {
+        let line = |line: &super::seen::EventLine| {
             let text = format!("{:>8.1} s  {}", line.time_s, line.text);
             if line.is_bad {
                 Line::styled(text, Style::new().fg(Color::Red))

@@ -24,7 +24,7 @@ const ANSWER_S: f64 = 10.0;
 
 /// An event.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Line {
+pub(super) struct EventLine {
     /// Time since the first record \[s\].
     pub(super) time_s: f64,
     pub(super) text: String,
@@ -42,7 +42,7 @@ pub(super) struct Seen {
     pub(super) error_mm: Recent,
     pub(super) response_us: Recent,
     pub(super) solve_us: Recent,
-    pub(super) lines: VecDeque<Line>,
+    pub(super) lines: VecDeque<EventLine>,
     /// Release and cause of the newest late cycle.
     pub(super) last_late: Option<(u64, LateCause)>,
     pub(super) lost: u64,
@@ -174,13 +174,13 @@ impl Seen {
     /// The newest events that fit into `rows`, the newest last. Newer events displace the answers of the last
     /// [`ANSWER_S`] only where one of these events would have no row: on a stalling machine, as many events as there are rows may come
     /// between two pictures.
-    pub(super) fn newest_lines(&self, rows: usize) -> Vec<&Line> {
+    pub(super) fn newest_lines(&self, rows: usize) -> Vec<&EventLine> {
         let newest_ns = (self.record.as_ref()).map_or(self.begun_ns, |record| record.release_ns);
         let since_s = self.time_s(newest_ns) - ANSWER_S;
-        let stays = |line: &&Line| line.answered.is_some() && line.time_s > since_s;
+        let stays = |line: &&EventLine| line.answered.is_some() && line.time_s > since_s;
         let answers = self.lines.iter().filter(stays).count();
         let mut room = rows.saturating_sub(answers).max(1);
-        let mut fits = |line: &&Line| {
+        let mut fits = |line: &&EventLine| {
             stays(line) || {
                 let is_room = room > 0;
                 room = room.saturating_sub(1);
@@ -204,7 +204,7 @@ impl Seen {
         }
         // An error may have several lines.
         let text = text.into().replace('\n', "; ");
-        self.lines.push_back(Line {
+        self.lines.push_back(EventLine {
             time_s: self.time_s(now_ns),
             text,
             is_bad,

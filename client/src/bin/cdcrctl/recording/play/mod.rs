@@ -30,7 +30,7 @@ use crate::interrupt::Interrupt;
 use crate::known_obstacles::known;
 use crate::tip_error::TipError;
 use ids::{Ids, listed};
-use source::{READ_AHEAD_NS, Source, Step};
+use source::{READ_AHEAD_NS, RecordedSteps, Step};
 
 /// Time by which references are sent early: the tolerated lateness of this program \[ns\].
 const LEAD_NS: u64 = 300_000_000;
@@ -41,7 +41,7 @@ const TIMEOUT: Duration = Duration::from_secs(1);
 pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Done> {
     let name = options.file.display().to_string();
     let connection = target.connect()?;
-    let mut source = Source::new(Recording::open(&options.file)?.unseen());
+    let mut source = RecordedSteps::new(Recording::open(&options.file)?.unseen());
     source.read_to(READ_AHEAD_NS)?;
     let status = connection.status(TIMEOUT)?;
     let fingerprint = source.robot_fingerprint();
@@ -51,7 +51,7 @@ pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Do
         "{name} is of another robot than the daemon: sections or limits differ"
     );
     check_mode(&status)?;
-    let recorded = Source::new(Recording::open(&options.file)?).obstacle_ids()?;
+    let recorded = RecordedSteps::new(Recording::open(&options.file)?).obstacle_ids()?;
     let others = connection.obstacle_updates()?;
     let ids = Ids::new(recorded, &known(&connection, TIMEOUT)?);
     let in_use = ids.in_use();
@@ -163,7 +163,7 @@ impl<'c> Player<'c> {
 
     fn play(
         &mut self,
-        source: &mut Source,
+        source: &mut RecordedSteps,
         name: &str,
         interrupt: &Interrupt,
     ) -> anyhow::Result<Done> {

@@ -20,7 +20,7 @@ pub(super) enum Step {
 }
 
 /// A recording as steps in the order of their times, without refused messages.
-pub(super) struct Source {
+pub(super) struct RecordedSteps {
     pub(super) recording: Recording,
     first: Option<First>,
     /// Messages before the first cycle: their times are relative to it.
@@ -41,7 +41,7 @@ struct First {
     fingerprint: u64,
 }
 
-impl Source {
+impl RecordedSteps {
     pub(super) fn new(recording: Recording) -> Self {
         Self {
             recording,
