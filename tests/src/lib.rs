@@ -23,7 +23,6 @@ use std::iter::from_fn;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Output, Stdio};
-use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -35,6 +34,7 @@ use cdcr_controller::plant::RobotPreset;
 pub use cdcr_process::in_public_memory;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 use cdcr_shared_types::{Obstacle, Response, Status, Telemetry};
+pub use cdcr_test_cases::asked;
 /// Configuration for tests whose subject is not timing, as text that tables may follow.
 pub use cdcr_testbed::subject::daemon::STALL_TOLERANT;
 use cdcr_testbed::system::thread::pin;
@@ -127,15 +127,6 @@ impl Place {
             .output()
             .expect("cdcrctl runs")
     }
-}
-
-/// The number in an environment variable.
-pub fn asked<T: FromStr>(variable: &str) -> Option<T> {
-    let text = std::env::var(variable).ok()?;
-    let Ok(number) = text.parse() else {
-        panic!("{variable} = {text:?} is not a valid number");
-    };
-    Some(number)
 }
 
 /// The output of a program on both streams.

@@ -1,4 +1,6 @@
 mod error;
+#[cfg(test)]
+mod fuzz;
 
 use error::TrajectoryFileProblem as Problem;
 pub use error::{TrajectoryFileError, TrajectoryFileProblem};

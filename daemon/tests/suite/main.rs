@@ -10,3 +10,10 @@ mod doctor;
 mod journal;
 mod manual;
 mod service_manager;
+mod solver_memory;
+
+use cdcr_daemon::rt::sys::WatchedAllocator;
+
+/// It watches only threads that ask for it.
+#[global_allocator]
+static ALLOCATOR: WatchedAllocator = WatchedAllocator;

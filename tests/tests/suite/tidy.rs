@@ -11,7 +11,7 @@ use modules::{
 };
 
 /// Sources of the crates with several modules, which import each other in one direction only.
-const SOURCES: [&str; 16] = [
+const SOURCES: [&str; 17] = [
     "controller/src",
     "shared-types/src",
     "daemon/src",
@@ -26,6 +26,7 @@ const SOURCES: [&str; 16] = [
     "python/src",
     "tests/src",
     "tests/tests/suite",
+    "tests/cases/src",
     "tests/skip/src",
     "packaging/src",
 ];

@@ -5,12 +5,11 @@ use std::path::Path;
 use cdcr_daemon::config::{Config, DEFAULT_TEXT, Validated};
 use cdcr_shared_types::codes::{Interpolation, RequestKind};
 use cdcr_shared_types::{ReferenceChunk, ReferencePoint, Request};
+use cdcr_test_cases::{Tally, replay, try_cases};
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::select;
 
-use crate::fuzz::cases::{Tally, try_cases};
-use crate::fuzz::corpus;
 use crate::fuzz::rig::{Rig, simulated};
 
 /// Values that are rarely valid.
@@ -211,9 +210,12 @@ fn follow(validated: &Validated) {
 
 #[test]
 fn any_text_is_a_configuration_or_an_error() {
-    corpus::replay("config", |bytes| {
-        evaluate(&String::from_utf8_lossy(bytes));
-    });
+    replay(
+        concat!(env!("CARGO_MANIFEST_DIR"), "/corpus/config"),
+        |bytes| {
+            evaluate(&String::from_utf8_lossy(bytes));
+        },
+    );
     let any_bytes = vec(any::<u8>(), 0..400);
     let texts = prop_oneof![
         any::<String>(),

@@ -3,10 +3,7 @@
 //! Each target first replays its corpus, then runs new cases. Invariants for all: no panic, and every command
 //! is finite and within the limits.
 
-mod cases;
 mod configuration;
-mod corpus;
-mod csv;
 mod draft;
 mod fields;
 mod rig;

@@ -19,9 +19,9 @@ use cdcr_daemon::rt::schedule::Release;
 use cdcr_shared_types::codes::{ChunkMode, Interface, MeasurementKind, RequestKind};
 use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
 use cdcr_shared_types::{Measurement, ObstacleUpdate, ReferenceChunk, Request, Telemetry};
+use cdcr_test_cases::Tally;
 
 use crate::chaos::limits;
-use crate::fuzz::cases::Tally;
 use crate::fuzz::script::{BEGIN_NS, PERIOD_NS, Run, Script, Step};
 
 /// A section of the paper's robot.

@@ -5,6 +5,7 @@ use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
 use cdcr_shared_types::{
     Header, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service, Status, ipc,
 };
+use cdcr_test_cases::cases_asked;
 use cdcr_tests::{Daemon, Place, ROBOT, STALL_TOLERANT, TIMEOUT, wait_status, wait_until};
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
@@ -15,7 +16,6 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
 use crate::chaos::limits;
-use crate::fuzz::cases::asked;
 use crate::fuzz::draft::{self, Draft, lay_out};
 use crate::fuzz::fields::Fields;
 use crate::fuzz::script::{Robot, Step};
@@ -297,7 +297,7 @@ fn outlives(link: &str, must_follow: bool) {
     watcher.recover();
     let before = watcher.settled();
     let mut stranger = Stranger::arrive(daemon.place());
-    let least = asked().unwrap_or(0).max(15);
+    let least = cases_asked().unwrap_or(0).max(15);
     for burst in 0.. {
         stranger.burst();
         watcher.wait_for(before + stranger.sent);

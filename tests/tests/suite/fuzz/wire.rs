@@ -13,10 +13,9 @@ use cdcr_daemon::obstacles::ObstacleSet;
 use cdcr_shared_types as message;
 use cdcr_shared_types::codes::{Interface, RequestKind};
 use cdcr_shared_types::limits::{OBSTACLES_MAX, REFERENCE_POINTS_MAX};
+use cdcr_test_cases::{Tally, replay, try_cases};
 use proptest::prelude::*;
 
-use crate::fuzz::cases::{Tally, try_cases};
-use crate::fuzz::corpus;
 use crate::fuzz::draft::{self, Draft, lay_out};
 use crate::fuzz::fields::Fields;
 use crate::fuzz::rig;
@@ -189,13 +188,16 @@ fn nearly_right_messages_are_taken_or_refused() {
 
 #[test]
 fn whatever_comes_the_commands_are_finite_and_inside_the_limits() {
-    corpus::replay("wire", |bytes| {
-        let script = Script::parse(std::str::from_utf8(bytes).unwrap()).unwrap();
-        for step in &script.0 {
-            evaluate(step, &robot(3));
-        }
-        rig::play(&script, &Tally::default());
-    });
+    replay(
+        concat!(env!("CARGO_MANIFEST_DIR"), "/corpus/wire"),
+        |bytes| {
+            let script = Script::parse(std::str::from_utf8(bytes).unwrap()).unwrap();
+            for step in &script.0 {
+                evaluate(step, &robot(3));
+            }
+            rig::play(&script, &Tally::default());
+        },
+    );
     let tally = Tally::default();
     try_cases(1024, draft::script(), |script| rig::play(&script, &tally));
     tally.both_at_least("played reference", 0.1);

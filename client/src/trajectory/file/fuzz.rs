@@ -2,14 +2,13 @@
 
 use std::path::Path;
 
-use cdcr_client::{FileTrajectory, Orientation, Trajectory};
 use cdcr_scratch::Scratch;
+use cdcr_test_cases::{Tally, replay, try_cases};
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::select;
 
-use crate::fuzz::cases::{Tally, try_cases};
-use crate::fuzz::corpus;
+use crate::{FileTrajectory, Orientation, Trajectory};
 
 const EXAMPLE: &str = include_str!("../../../../configs/path.csv");
 
@@ -148,7 +147,7 @@ fn evaluate(text: &str) -> bool {
 
 #[test]
 fn any_bytes_are_a_reference_file_or_an_error() {
-    corpus::replay("csv", |bytes| {
+    replay(concat!(env!("CARGO_MANIFEST_DIR"), "/corpus"), |bytes| {
         evaluate(&String::from_utf8_lossy(bytes));
     });
     let folder = Scratch::temporary().unwrap();

@@ -7,8 +7,6 @@
     reason = "in a test a panic is the report, in its helpers, too"
 )]
 
-mod solver;
-
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, Output};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -16,7 +14,7 @@ use std::sync::{Mutex, PoisonError, RwLock};
 
 use cdcr_daemon::app::run_until;
 use cdcr_daemon::config::Config;
-use cdcr_daemon::rt::sys::{WatchedAllocator, count_allocations, forbid_allocations};
+use cdcr_daemon::rt::sys::{WatchedAllocator, forbid_allocations};
 use cdcr_tests::load::{self, Done};
 use cdcr_tests::system_calls::forbid_system_calls;
 use cdcr_tests::{Place, asked, binary};
@@ -103,13 +101,6 @@ fn run_guarded(link: &str, work: impl FnOnce(&Place, &AtomicBool, Busy<'_>) -> (
     });
     assert!(GUARDED_LIVES.load(Ordering::Acquire) > lives);
     assert!(done.reaches(&least), "{done:?} instead of {least:?}");
-}
-
-#[test]
-fn the_counter_counts() {
-    let (operations, text) = count_allocations(|| vec![1_u8; 100]);
-    assert_eq!((operations, text.len()), (1, 100));
-    assert_eq!(count_allocations(|| drop(text)).0, 1);
 }
 
 /// A process that does `what` under guard.

@@ -10,8 +10,8 @@ use proptest::test_runner::{Config, RngSeed, TestRunner};
 /// Runs `test` on a quarter of `cases` values of `strategy`, on all of them with `CDCR_WHOLE`, always the
 /// same ones. With `CDCR_FUZZ_CASES` (or `PROPTEST_CASES`), it runs at least that many, different ones each
 /// time.
-pub(crate) fn try_cases<S: Strategy>(cases: u32, strategy: S, test: impl Fn(S::Value)) {
-    let asked = asked();
+pub fn try_cases<S: Strategy>(cases: u32, strategy: S, test: impl Fn(S::Value)) {
+    let asked = cases_asked();
     let least = match std::env::var_os("CDCR_WHOLE") {
         Some(_) => cases,
         None => cases / 4,
@@ -33,7 +33,7 @@ pub(crate) fn try_cases<S: Strategy>(cases: u32, strategy: S, test: impl Fn(S::V
         })
     });
     if let Err(failure) = outcome {
-        panic!("{failure}\nkeep the input in tests/corpus, see docs/fuzzing.md");
+        panic!("{failure}\nkeep the input, see docs/fuzzing.md");
     }
 }
 
@@ -56,24 +56,24 @@ fn quietly<R>(work: impl FnOnce() -> R) -> R {
 }
 
 /// Number of cases in the environment.
-pub(crate) fn asked() -> Option<u32> {
+pub fn cases_asked() -> Option<u32> {
     let names = ["CDCR_FUZZ_CASES", "PROPTEST_CASES"];
-    names.into_iter().find_map(cdcr_tests::asked)
+    names.into_iter().find_map(crate::asked)
 }
 
 /// Counts accepted and rejected cases, so that a target that rejects everything at the first check fails.
 #[derive(Debug, Default)]
-pub(crate) struct Tally {
+pub struct Tally {
     counts: RefCell<BTreeMap<&'static str, [u32; 2]>>,
 }
 
 impl Tally {
-    pub(crate) fn count(&self, kind: &'static str, accepted: bool) {
+    pub fn count(&self, kind: &'static str, accepted: bool) {
         self.counts.borrow_mut().entry(kind).or_default()[usize::from(accepted)] += 1;
     }
 
     /// At least this share of the cases of `kind` was accepted, and at least this share rejected.
-    pub(crate) fn both_at_least(&self, kind: &'static str, share: f64) {
+    pub fn both_at_least(&self, kind: &'static str, share: f64) {
         let [refused, accepted] = self.counts.borrow().get(kind).copied().unwrap_or_default();
         println!("{kind}: {accepted} accepted, {refused} refused");
         let least = share * f64::from(refused + accepted);
@@ -84,7 +84,7 @@ impl Tally {
     }
 
     /// At least one case of `kind` was accepted.
-    pub(crate) fn happened(&self, kind: &'static str) {
+    pub fn happened(&self, kind: &'static str) {
         let [_, accepted] = self.counts.borrow().get(kind).copied().unwrap_or_default();
         println!("{kind}: {accepted} times");
         assert!(accepted > 0, "{kind} never happened");

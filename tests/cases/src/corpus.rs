@@ -3,12 +3,10 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-/// Runs `test` on each file of a target's corpus, and reports all failing ones.
-pub(crate) fn replay(target: &str, test: impl Fn(&[u8])) {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("corpus")
-        .join(target);
-    let entries = std::fs::read_dir(&folder).unwrap();
+/// Runs `test` on each file of the folder of a corpus, and reports all failing ones.
+pub fn replay(folder: impl AsRef<Path>, test: impl Fn(&[u8])) {
+    let folder = folder.as_ref();
+    let entries = std::fs::read_dir(folder).unwrap();
     let mut paths: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
     paths.sort();
     assert!(!paths.is_empty(), "{} is empty", folder.display());
