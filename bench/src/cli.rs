@@ -105,12 +105,12 @@ benchmarks! {
     /// part of the controller.
     Robustness = "robustness": RobustnessOptions, "Example: cdcr-bench robustness --seeds 20 --out robustness";
     /// Run the paper's three simulations (spiral, line with orientation, circle with an obstacle) with every
-    /// solver, next to the paper's figures.
+    /// solver, next to the paper's results.
     Paper = "paper": Effort, "Example: cdcr-bench paper --seeds 3 --out paper";
     /// Measure solve times on every SIMD path of this processor, over sections, steps, particles,
     /// iterations and obstacles.
     Solver = "solver": SolverOptions, "Example: cdcr-bench solver --format csv > solver.csv";
-    /// Measure by how much a solve exceeds its time budget, from 0 to 1 ms, and check that its plan is never
+    /// Measure by how much a solve exceeds time budgets from 0 to 1 ms, and check that its plan is never
     /// worse than the warm start.
     Budget = "budget": BudgetOptions, "Example: cdcr-bench budget --format json > budget.json";
 }

@@ -24,7 +24,7 @@ use crate::progress::Progress;
 use crate::run_options::RunOptions;
 
 pub const QUICK: &str =
-    "This was a quick look (--quick): it shows that everything runs, and proves nothing.";
+    "This was a short run (--quick): it shows that everything runs, and is not a measurement.";
 
 /// The benchmarks whose targets need real time and the default configuration.
 const TARGETED: [&str; 4] = ["deadline", "latency", "rate", "footprint"];
@@ -119,7 +119,7 @@ pub struct Extent {
     /// Run all benchmarks in a few minutes; not a measurement.
     #[arg(long)]
     pub quick: bool,
-    /// Rounds per benchmark, 1 to 100 [default: as each benchmark]; compare needs at least 3.
+    /// Rounds per benchmark, 1 to 100 [default: that of each benchmark]; compare needs at least 3.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: Option<u32>,
 }

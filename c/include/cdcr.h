@@ -127,7 +127,7 @@ int cdcr_request(CdcrConnection *connection, uint32_t kind, uint64_t timeout_ns,
  * CDCR_OUTCOME_POSE_DIFFERS, because encoders may have lost their zero; *response has the section and the difference. */
 int cdcr_reset(CdcrConnection *connection, uint32_t accept_pose, uint64_t timeout_ns, CdcrResponse *response);
 
-/* Sends a part of a reference, 1 to CDCR_CHUNK_POINTS_MAX points, ahead of its time. mode is a CdcrChunkMode, interpolation
+/* Sends a part of a reference, 1 to CDCR_CHUNK_POINTS_MAX points, ahead of time. mode is a CdcrChunkMode, interpolation
  * a CdcrInterpolation. *header becomes the message's header, the argument of cdcr_outcome; header may be NULL. CDCR_OK: the
  * chunk was sent; its outcome is an event of the telemetry. CDCR_ERROR_FULL. */
 int cdcr_feed(CdcrConnection *connection, uint32_t mode, uint32_t interpolation, const CdcrReferencePoint *points, size_t count,

@@ -403,7 +403,7 @@ typedef struct CdcrObstacle {
     uint64_t measured_ns;
     /* 96: How long it stays known after measured_ns [ns]; 0: until removed. An obstacle whose lifetime is over when
      * it arrives is refused as in the past, one that has left the range of positions by then as out of range. Where
-     * the daemon watches those who send obstacles (obstacles.source_timeout_ms), one does not expire before its
+     * the daemon watches the senders of obstacles (obstacles.source_timeout_ms), one does not expire before its
      * sender has sent something after that (header.sent_ns); in a telemetry record this is then 0. */
     uint64_t lifetime_ns;
 } CdcrObstacle;
@@ -436,13 +436,13 @@ typedef struct CdcrMeasurement {
     uint32_t interface;
     /* 44: Zero. */
     uint32_t reserved;
-    /* 48: Begin of the newest time in which motors of speeds rested because their command had run out [ns,
+    /* 48: Begin of the newest time in which velocity-controlled motors rested because their command had run out [ns,
      * CLOCK_MONOTONIC], along the commands: where the driver took the last one 2 ms after its release, 2 ms before
      * the time of its clock. The daemon compares it with the measured bends. */
     uint64_t rested_from_ns;
-    /* 56: End of that time, or when this is sent if the motors still rest, likewise. 0: the driver does not say it,
-     * or the motors have not rested since the first command. Ignored where the driver obeys positions, whose motors
-     * make up for a rest. */
+    /* 56: End of that time, or when this is sent if the motors still rest, likewise. 0: the driver does not state
+     * it, or the motors have not rested since the first command. Ignored where the driver obeys positions, whose
+     * motors make up for a rest. */
     uint64_t rested_until_ns;
     /* 64: used: 2 * sections; where kind is 1. Bend vector (u₁, v₁, u₂, v₂, …) [rad]. */
     double bend_rad[12];
@@ -558,7 +558,7 @@ CDCR_ASSERT_SIZE(CdcrSolverSettings, 176);
 
 /* cdcr.Request.v3, 208 bytes. */
 typedef struct CdcrRequest {
-    /* 0: Sender, sequence, time. The sender's identity is what a lease is bound to. */
+    /* 0: Sender, sequence, time. A lease is bound to the sender's identity. */
     CdcrHeader header;
     /* 24: CdcrRequestKind. */
     uint32_t kind;
@@ -583,7 +583,7 @@ typedef struct CdcrResponse {
     uint32_t outcome;
     /* 44: CdcrMode after the request. */
     uint32_t mode;
-    /* 48: Holder of the reference lease after the request; 0: nobody. */
+    /* 48: Holder of the reference lease after the request; 0: none. */
     uint64_t lease_holder;
     /* 56: How long the lease still runs [ns]. */
     uint64_t lease_left_ns;
@@ -749,7 +749,7 @@ typedef struct CdcrStatus {
     uint64_t faults;
     /* 224: Cycles in which the clearance guard changed the command. */
     uint64_t clearance_guarded;
-    /* 232: Obstacle updates that were refused, for whatever reason. */
+    /* 232: Obstacle updates that were refused, for any reason. */
     uint64_t obstacles_refused;
     /* 240: one for each CdcrOutcome from 0 on. Input messages by their Outcome, index = code; 0 counts the accepted
      * ones. */
@@ -771,8 +771,8 @@ typedef struct CdcrStatus {
     /* 1432: Smallest clearance in the newest cycle [m]: the smaller of that by the estimate, as in Telemetry, and
      * that by the measured bends. Infinite without obstacles. */
     double clearance_m;
-    /* 1440: How far the tip may be from where the bends place it [m], as in Telemetry: that much thicker the body
-     * counts in clearance_m. */
+    /* 1440: How far the tip may be from where the bends place it [m], as in Telemetry: in clearance_m the body is
+     * thicker by this distance. */
     double tip_margin_m;
     /* 1448: The robot of the daemon's configuration. */
     CdcrRobotDescription robot;
@@ -787,8 +787,8 @@ typedef struct CdcrStatus {
     double position_error_m;
     /* 1992: Position of the reference in the newest cycle [m]; NaN without one. */
     double reference_position_m[3];
-    /* 2016: Distance of tip and reference when a sensor of the tip measured it last [m]: its noise is in it, and
-     * what the model is off by. NaN without a reference or such a sensor. */
+    /* 2016: Distance of tip and reference when a sensor of the tip measured it last [m]: with the noise of the
+     * sensor and the error of the model. NaN without a reference or such a sensor. */
     double measured_error_m;
     /* 2024: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
     double following_error_rad[6];
@@ -803,7 +803,7 @@ typedef struct CdcrStatus {
     uint32_t reset_refused_by;
     /* 2232: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
     double safe_distance_min_m;
-    /* 2240: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: nobody is
+    /* 2240: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: no sender is
      * watched. */
     uint64_t obstacle_source_timeout_ns;
     /* 2248: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
@@ -812,11 +812,11 @@ typedef struct CdcrStatus {
     /* 2256: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
      * the daemon stood still. */
     uint64_t silent_since_ns;
-    /* 2264: s²/rad². SolverSettings has this rate_weight where nobody sets another: it depends on the robot. */
+    /* 2264: s²/rad². SolverSettings has this rate_weight unless a client sets another: it depends on the robot. */
     double rate_weight_auto;
     /* 2272: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
     uint64_t tip_measured_ns;
-    /* 2280: Measurements of the tip that were refused since the start, for whatever reason. */
+    /* 2280: Measurements of the tip that were refused since the start, for any reason. */
     uint64_t tips_refused;
     /* 2288: Distance of the measured tip from where the newest refused first bends placed it [m], in whole
      * millimetres; after them, from where the measured bends place it, where it is so far that a reset is refused;
@@ -849,9 +849,9 @@ typedef struct CdcrInputEvent {
     uint32_t kind;
     /* 28: CdcrOutcome. */
     uint32_t outcome;
-    /* 32: Place of the trouble: index of the point or obstacle; for a request its CdcrRequestKind, with accepts_pose
-     * ResetAcceptingPose; for an accepted obstacle update how many obstacles are known after it; for first bends
-     * that a tip contradicts, its distance in mm. */
+    /* 32: Detail of the outcome: index of the point or obstacle; for a request its CdcrRequestKind, with
+     * accepts_pose ResetAcceptingPose; for an accepted obstacle update how many obstacles are known after it; for
+     * first bends that a tip contradicts, its distance in mm. */
     uint32_t detail;
     /* 36: It took effect this many gathers before the record's gather: 0, unless more happened at once than one
      * record can report. */
@@ -1022,7 +1022,7 @@ typedef struct CdcrTelemetry {
     double measurement_jump_rad;
     /* 2272: How far the robot may be commanded while the measurement stands still [rad]. */
     double measurement_frozen_rad;
-    /* 2280: So many jumps in a row are a fault. */
+    /* 2280: This many consecutive jumps are a fault. */
     uint32_t measurement_jump_limit;
     /* 2284: CdcrMeasurementState. */
     uint32_t measurement_state;
@@ -1048,19 +1048,18 @@ typedef struct CdcrTelemetry {
     CdcrReferenceSample reference;
     /* 13896: The way to it that the plan follows. */
     CdcrApproach approach;
-    /* 13992: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by what the motors are
+    /* 13992: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by the lag of the motors
      * behind their commands. */
     double present_rad[12];
     /* 14088: The tip as it was measured beside bends or cables [m]; zero when it was not. */
     double tip_measured_m[3];
     /* 14112: When the tip of tip_measured_m was measured [ns, CLOCK_MONOTONIC]. */
     uint64_t tip_measured_ns;
-    /* 14120: How far the tip is measured beside where the bends place it, smoothed [m]. The plan's reference is
-     * moved back by it. */
+    /* 14120: Offset of the measured tip from where the bends place it, smoothed [m]. The plan's reference is moved
+     * back by it. */
     double tip_offset_m[3];
-    /* 14144: How far the tip may be beside where the bends place it [m]: the length of tip_offset_m, and three
-     * standard deviations of what the measurements leave open of it. So much thicker the body counts for plan and
-     * guard. */
+    /* 14144: Distance that the tip may have from where the bends place it [m]: the length of tip_offset_m, and three
+     * standard deviations of its uncertainty. For plan and guard the body is thicker by this distance. */
     double tip_margin_m;
     /* 14152: Tip position at the release, from present_rad and tip_offset_m [m]. */
     double tip_position_m[3];
@@ -1105,10 +1104,10 @@ typedef struct CdcrTelemetry {
     /* 15128: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
      * command begins to act. */
     double delayed_rad[12];
-    /* 15224: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad is
-     * beside that by the play of the cables. */
+    /* 15224: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad
+     * differs from that by the play of the cables. */
     double motor_rad[12];
-    /* 15320: used: 3 * command.sections. What of that play is taken there: each cable minus its motor [m]. */
+    /* 15320: used: 3 * command.sections. Used part of that play there: each cable minus its motor [m]. */
     double slack_m[18];
     /* 15464: Play of the cables [m]; 0: none. */
     double play_m;
@@ -1154,8 +1153,8 @@ typedef struct CdcrIncident {
     uint64_t steal_ns;
     /* 32: Length of that window [ns], which ends just before the publication; 0: it could not be read. */
     uint64_t steal_window_ns;
-    /* 40: The record of the cycle, as its readers got it, but for scheduling.late_cause: where steal of at least a
-     * tick and half of the lateness explains it, the daemon puts platform in place of load, stall or compute. The
+    /* 40: The record of the cycle, as its readers received it, except scheduling.late_cause: where steal of at least
+     * a tick and half of the lateness explains it, the daemon puts platform in place of load, stall or compute. The
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;

@@ -33,7 +33,7 @@ pub use refusal::CommandRefusal;
 /// Interval at which a waiting driver checks for a command: a fifth of the usual period.
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// A driver that measures has sent a first measurement by then. Until then it follows no command that acts on those
-/// of another driver; afterwards a driver of speeds that measures nothing follows every command.
+/// of another driver; afterwards a velocity driver that measures nothing follows every command.
 const MEASURES_WITHIN: Duration = Duration::from_secs(1);
 
 /// The ports of a driver process: it sends measurements of the robot and executes the daemon's commands.
@@ -167,7 +167,7 @@ impl Driver {
         &self.robot
     }
 
-    /// Sends a measurement, with the interface that this driver obeys, and the newest rest of its motors of speeds
+    /// Sends a measurement, with the interface that this driver obeys, and the newest rest of its velocity-controlled motors
     /// ([`CommandFollower::rest_ns`]) unless the measurement states one.
     ///
     /// # Errors

@@ -69,7 +69,7 @@ fn an_upgrade_names_a_daemon_that_still_runs_the_old_program() {
     let stubs = [("getent", "exit 0")];
     let (status, text) = run(folder.path(), ["postinst", "configure"], &stubs);
     assert_eq!(status, 0, "{text}");
-    let line = "cdcrd still runs as it was, process 34: end it when the robot may stop";
+    let line = "the old cdcrd still runs, process 34: end it when the robot may stop";
     assert!(text.starts_with(line), "{text}");
 }
 

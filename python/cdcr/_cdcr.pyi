@@ -12,7 +12,7 @@ __all__ = ["FAR_LIMIT", "SILENT_NS", "__version__", "Connection", "Driver", "Fee
 
 FAR_LIMIT: Final[int]
 """
-After so many tips beyond the limit in a row the sensor counts as wrong.
+After this many consecutive tips beyond the limit the sensor counts as wrong.
 """
 
 SILENT_NS: Final[int]
@@ -60,8 +60,8 @@ class Connection:
         A feed of points, to be used in a `with`: it begins there, keeps the lease, and at the end gives it back, so that the robot holds.
 
         t: (k,) [s], xyz: (k, 3) [m], and so on as in Trajectory.from_arrays. track: ask for tracking once the daemon has the first points. lead_s: from the begin of
-        the `with` to the first point, 0.05 to 60 s. Raises ArgumentError; what the daemon says comes up in the `with`.
-        Checks neither speed nor reach nor how near the tip is at the end: docs/python.md says how to.
+        the `with` to the first point, 0.05 to 60 s. Raises ArgumentError; errors of the daemon are raised in the `with`.
+        Checks neither speed nor reach nor how near the tip is at the end: docs/python.md shows how to check them.
         """
     def feed_trajectory(self, /, trajectory: Trajectory, *, track: bool = True, lead_s: float = 0.3) -> Feed:
         """
@@ -69,11 +69,11 @@ class Connection:
         """
     def hold(self, /) -> None:
         """
-        Asks to stop following; the position is kept. Raises RequestError if the daemon refuses.
+        Requests to stop following; the position is kept. Raises RequestError if the daemon refuses.
         """
     def home(self, /) -> None:
         """
-        Asks to move to the straight robot. Raises RequestError if the daemon refuses.
+        Requests to move to the straight robot. Raises RequestError if the daemon refuses.
         """
     def incidents(self, /, timeout_s: float = 0.3) -> Records:
         """
@@ -83,7 +83,7 @@ class Connection:
         """
     def live(self, /, batch_s: float = 0.1) -> Live:
         """
-        Iterates over what the daemon does from now on: each step waits batch_s [s] and gives the records since the last one, one at least.
+        Iterates over the daemon's records from now on: each step waits batch_s [s] and gives the records since the last one, one at least.
 
         A program that takes longer than 1.28 s for a step loses records; lost_records() counts them. A step raises LinkError if the daemon sends nothing for a second, or only commands for ten.
         """
@@ -98,7 +98,7 @@ class Connection:
         """
     def reset(self, /, *, accept_pose: bool = False) -> None:
         """
-        Leaves the modes stopped and faulted. Raises RequestError while the cause stands.
+        Leaves the modes stopped and faulted. Raises RequestError while the cause persists.
 
         accept_pose: the measured pose is right although it is far from where the last command left the robot, for example after a motion by hand; control begins there.
         Without it the daemon refuses such a reset: encoders may have lost their zero.
@@ -113,7 +113,7 @@ class Connection:
         """
     def set_obstacles(self, /, obstacles: Mapping[int, Obstacle], lifetime_s: float = 0.0, *, far: bool = False) -> None:
         """
-        Tells the daemon about obstacles, or replaces those with the same numbers, and waits for its answer.
+        Sends obstacles to the daemon, or replaces those with the same numbers, and waits for its answer.
 
         obstacles: at most 64 by their numbers (0 to 4294967295), where they are now. lifetime_s: how long they stay known [s]; 0: until they are removed.
         far: send also those that are farther away than thirty robot lengths, or are larger than the robot and contain the base; without it they are taken for millimetres, and nothing is sent.
@@ -131,7 +131,7 @@ class Connection:
         """
     def stop(self, /) -> None:
         """
-        Stops the robot, by whatever way there is, also where this connection hangs or is closed: the daemon's answer, or the signal USR1.
+        Stops the robot by any available means, also where this connection hangs or is closed: the daemon's answer, or the signal USR1.
 
         Raises ConnectError if no daemon runs, and RequestError if nothing confirmed the stop.
         """
@@ -141,13 +141,13 @@ class Connection:
         """
     def telemetry(self, /, seconds: float) -> Records:
         """
-        Records of so many seconds from now on [s]: a structured array, a row for each cycle, with the fields of the message Telemetry.
+        Records of the next `seconds` [s]: a structured array, a row for each cycle, with the fields of the message Telemetry.
 
         Raises LinkError if the daemon has ended, or sends nothing for a second, or only commands for ten; live() gives what came before that.
         """
     def track(self, /) -> None:
         """
-        Asks to follow the reference that is fed. Raises RequestError if the daemon refuses.
+        Requests to follow the reference that is fed. Raises RequestError if the daemon refuses.
         """
 
 @final
@@ -242,7 +242,7 @@ class Feed:
 @final
 class FeedReport:
     """
-    What a feed did.
+    Result of a feed.
     """
     def __repr__(self, /) -> str: ...
     @property
@@ -279,8 +279,7 @@ class FeedReport:
 @final
 class FeedStream:
     """
-    Points that are fed as they come, from Connection.stream(): a context manager. Its thread keeps the lease. Leaving the `with` waits for what the daemon
-    says to the last points, a second at most, and gives the lease back: the robot holds.
+    Points that are fed as they come, from Connection.stream(): a context manager. Its thread keeps the lease. Leaving the `with` waits for the daemon's answer to the last points, a second at most, and gives the lease back: the robot holds.
     """
     def __enter__(self, /) -> FeedStream: ...
     def __exit__(self, kind: object = None, _error: object = None, _trace: object = None, /) -> None:
@@ -358,9 +357,8 @@ class Nmpc:
         """
         Finds the rates for the period that begins now.
 
-        bend: (2 n,) [rad], where the robot is. window: (k, 3) [m], the reference 1, 2, ... periods from now; the last row counts for what is missing of
-        the horizon. obstacles: at most 64, where they are now. quaternion: (k, 4), x, y, z, w, or axis: (k, 3), what the tip's orientation shall be.
-        budget_s: ends the solve with the best solution so far [s]; budget_quanta: the same after so much work (SolveReport.quanta), repeatable.
+        bend: (2 n,) [rad], where the robot is. window: (k, 3) [m], the reference 1, 2, ... periods from now; the last row stands for the missing rows of the horizon. obstacles: at most 64, where they are now. quaternion: (k, 4), x, y, z, w, or axis: (k, 3), what the tip's orientation shall be.
+        budget_s: ends the solve with the best solution so far [s]; budget_quanta: the same after this amount of work (SolveReport.quanta), repeatable.
         previous_rates: (2 n,) [rad/s], of the last command; zero if left out. elapsed_periods: since the last solve. seed: of the swarm; by default a
         function of the seed in the settings and of how many solves there were.
         Returns rates (2 n,) [rad/s], plan (blocks, 2 n) [rad/s] and report. Raises ArgumentError for wrong shapes, NaN, infinite numbers and too many obstacles.
@@ -369,11 +367,11 @@ class Nmpc:
 @final
 class Obstacle:
     """
-    What the body must stay clear of: a sphere, or a capsule (all points within a radius of a segment), in the base frame.
+    An obstacle, of which the body must stay clear: a sphere, or a capsule (all points within a radius of a segment), in the base frame.
     """
     def __reduce__(self, /) -> tuple[Any, ...]:
         """
-        For pickle and copy: what makes the same obstacle.
+        For pickle and copy: the arguments that make the same obstacle.
         """
     def __repr__(self, /) -> str: ...
     @property
@@ -478,7 +476,7 @@ class Robot:
         """
         The robot in the table `[robot]` of a configuration of cdcrd.
 
-        Raises ArgumentError for a file that is none, an unknown key, and a value outside its range.
+        Raises ArgumentError for a file that is not a configuration, an unknown key, and a value outside its range.
         """
     def jacobian(self, /, bend: ArrayLike) -> Doubles:
         """
@@ -517,7 +515,7 @@ class Robot:
 @final
 class Simulation:
     """
-    A closed loop, period by period: row k is what was after period k + 1. Every array is made anew when it is asked for.
+    A closed loop, period by period: row k is the state after period k + 1. Every access makes a new array.
     """
     def __len__(self, /) -> int: ...
     def __repr__(self, /) -> str: ...
@@ -534,7 +532,7 @@ class Simulation:
     @property
     def clearance_m(self, /) -> Doubles:
         """
-        Clearance of the body in truth [m]: (k,); infinite without obstacles.
+        True clearance of the body [m]: (k,); infinite without obstacles.
         """
     @property
     def cost(self, /) -> Doubles:
@@ -554,7 +552,7 @@ class Simulation:
     @property
     def position_error_m(self, /) -> Doubles:
         """
-        From the reference to the tip in truth [m]: (k,).
+        From the reference to the true tip [m]: (k,).
         """
     @property
     def reference_position_m(self, /) -> Doubles:
@@ -569,7 +567,7 @@ class Simulation:
     @property
     def solve_s(self, /) -> Doubles:
         """
-        What solve, safety checks and the simulated robot took on this machine [s]: (k,). Not the same in each run.
+        Time of solve, safety checks and simulated robot on this machine [s]: (k,). Not the same in each run.
         """
     @property
     def status(self, /) -> list[str]:
@@ -584,7 +582,7 @@ class Simulation:
     @property
     def tip_position_m(self, /) -> Doubles:
         """
-        Where the tip is in truth [m]: (k, 3).
+        True position of the tip [m]: (k, 3).
         """
 
 @final
@@ -641,7 +639,7 @@ class SolveReport:
     @property
     def violation(self, /) -> float:
         """
-        By how much the plan breaks its worst constraint at worst: metres of clearance, or parts of a limit; 0: none is broken.
+        By how much the plan breaks its worst constraint: metres of clearance, or parts of a limit; 0: none is broken.
         """
     @property
     def warm_cost(self, /) -> float:
@@ -757,7 +755,7 @@ def settings_from_toml(path: str | PathLike[str]) -> Settings:
     """
     The settings of the solver in the table `[controller]` of a configuration of cdcrd; the defaults for keys that are not there.
 
-    Raises ArgumentError for a file that is none, an unknown key, and a value outside its range.
+    Raises ArgumentError for a file that is not a configuration, an unknown key, and a value outside its range.
     """
 
 def simulate(robot: Robot, trajectory: Trajectory, *, plant: Plant = "ideal", flaws: Mapping[str, float] | None = None, settings: Settings | None = None, period_s: float = 0.005, start: ArrayLike | None = None, obstacles: Sequence[Obstacle] = ..., duration_s: float | None = None, seed: int = 1, sensor: Sensor | None = None, interface: Interface = "velocity", actuator_delay_s: float = 0.0, actuator_time_constant_s: float = 0.0, actuator_play_m: float = 0.0, estimator_time_constant_s: float = 0.18, acceleration_rad_s2: float | None = None) -> Simulation:

@@ -119,17 +119,17 @@ impl Connection {
         Ok(Robot { inner })
     }
 
-    /// Asks to follow the reference that is fed. Raises RequestError if the daemon refuses.
+    /// Requests to follow the reference that is fed. Raises RequestError if the daemon refuses.
     fn track(&self, py: Python<'_>) -> PyResult<()> {
         self.request(py, RequestKind::Track)
     }
 
-    /// Asks to stop following; the position is kept. Raises RequestError if the daemon refuses.
+    /// Requests to stop following; the position is kept. Raises RequestError if the daemon refuses.
     fn hold(&self, py: Python<'_>) -> PyResult<()> {
         self.request(py, RequestKind::Hold)
     }
 
-    /// Leaves the modes stopped and faulted. Raises RequestError while the cause stands.
+    /// Leaves the modes stopped and faulted. Raises RequestError while the cause persists.
     ///
     /// accept_pose: the measured pose is right although it is far from where the last command left the robot, for example after a motion by hand; control begins there.
     /// Without it the daemon refuses such a reset: encoders may have lost their zero.
@@ -142,12 +142,12 @@ impl Connection {
         Ok(())
     }
 
-    /// Asks to move to the straight robot. Raises RequestError if the daemon refuses.
+    /// Requests to move to the straight robot. Raises RequestError if the daemon refuses.
     fn home(&self, py: Python<'_>) -> PyResult<()> {
         self.request(py, RequestKind::Home)
     }
 
-    /// Stops the robot, by whatever way there is, also where this connection hangs or is closed: the daemon's answer, or the signal USR1.
+    /// Stops the robot by any available means, also where this connection hangs or is closed: the daemon's answer, or the signal USR1.
     ///
     /// Raises ConnectError if no daemon runs, and RequestError if nothing confirmed the stop.
     fn stop(&self, py: Python<'_>) -> PyResult<()> {
@@ -213,7 +213,7 @@ impl Connection {
         Ok(())
     }
 
-    /// Records of so many seconds from now on [s]: a structured array, a row for each cycle, with the fields of the message Telemetry.
+    /// Records of the next `seconds` [s]: a structured array, a row for each cycle, with the fields of the message Telemetry.
     ///
     /// Raises LinkError if the daemon has ended, or sends nothing for a second, or only commands for ten; live() gives what came before that.
     #[pyo3(signature = (seconds))]
@@ -230,7 +230,7 @@ impl Connection {
         Ok(records)
     }
 
-    /// Iterates over what the daemon does from now on: each step waits batch_s [s] and gives the records since the last one, one at least.
+    /// Iterates over the daemon's records from now on: each step waits batch_s [s] and gives the records since the last one, one at least.
     ///
     /// A program that takes longer than 1.28 s for a step loses records; lost_records() counts them. A step raises LinkError if the daemon sends nothing for a second, or only commands for ten.
     #[pyo3(signature = (batch_s = 0.1))]
@@ -274,7 +274,7 @@ impl Connection {
         Ok(found)
     }
 
-    /// Tells the daemon about obstacles, or replaces those with the same numbers, and waits for its answer.
+    /// Sends obstacles to the daemon, or replaces those with the same numbers, and waits for its answer.
     ///
     /// obstacles: at most 64 by their numbers (0 to 4294967295), where they are now. lifetime_s: how long they stay known [s]; 0: until they are removed.
     /// far: send also those that are farther away than thirty robot lengths, or are larger than the robot and contain the base; without it they are taken for millimetres, and nothing is sent.
@@ -327,8 +327,8 @@ impl Connection {
     /// A feed of points, to be used in a `with`: it begins there, keeps the lease, and at the end gives it back, so that the robot holds.
     ///
     /// t: (k,) [s], xyz: (k, 3) [m], and so on as in Trajectory.from_arrays. track: ask for tracking once the daemon has the first points. lead_s: from the begin of
-    /// the `with` to the first point, 0.05 to 60 s. Raises ArgumentError; what the daemon says comes up in the `with`.
-    /// Checks neither speed nor reach nor how near the tip is at the end: docs/python.md says how to.
+    /// the `with` to the first point, 0.05 to 60 s. Raises ArgumentError; errors of the daemon are raised in the `with`.
+    /// Checks neither speed nor reach nor how near the tip is at the end: docs/python.md shows how to check them.
     #[pyo3(signature = (t, xyz, *, quaternion = None, axis = None, interpolation: "Interpolation" = "cubic", track = true, lead_s = 0.3))]
     #[allow(clippy::too_many_arguments, reason = "each is a name in Python")]
     fn feed(

@@ -38,7 +38,7 @@ pub(crate) struct Feed {
     running: Running<FeedReport>,
 }
 
-/// What a feed did.
+/// Result of a feed.
 #[pyclass(frozen, get_all, module = "cdcr")]
 #[derive(Debug, Clone)]
 pub(crate) struct FeedReport {

@@ -36,8 +36,7 @@ struct Counts {
     abandoned: AtomicBool,
 }
 
-/// Points that are fed as they come, from Connection.stream(): a context manager. Its thread keeps the lease. Leaving the `with` waits for what the daemon
-/// says to the last points, a second at most, and gives the lease back: the robot holds.
+/// Points that are fed as they come, from Connection.stream(): a context manager. Its thread keeps the lease. Leaving the `with` waits for the daemon's answer to the last points, a second at most, and gives the lease back: the robot holds.
 #[pyclass(frozen, module = "cdcr")]
 pub(crate) struct FeedStream {
     address: Address,

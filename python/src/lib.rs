@@ -45,7 +45,7 @@ mod _cdcr {
     #[pymodule_export]
     #[allow(non_upper_case_globals, reason = "the name that Python has for it")]
     const __version__: &str = env!("CARGO_PKG_VERSION");
-    /// After so many tips beyond the limit in a row the sensor counts as wrong.
+    /// After this many consecutive tips beyond the limit the sensor counts as wrong.
     #[pymodule_export]
     const FAR_LIMIT: u32 = cdcr_controller::estimator::FAR_LIMIT;
     /// A tip sensor that has measured nothing for this long is silent [ns].

@@ -58,9 +58,8 @@ impl Nmpc {
 
     /// Finds the rates for the period that begins now.
     ///
-    /// bend: (2 n,) [rad], where the robot is. window: (k, 3) [m], the reference 1, 2, ... periods from now; the last row counts for what is missing of
-    /// the horizon. obstacles: at most 64, where they are now. quaternion: (k, 4), x, y, z, w, or axis: (k, 3), what the tip's orientation shall be.
-    /// budget_s: ends the solve with the best solution so far [s]; budget_quanta: the same after so much work (SolveReport.quanta), repeatable.
+    /// bend: (2 n,) [rad], where the robot is. window: (k, 3) [m], the reference 1, 2, ... periods from now; the last row stands for the missing rows of the horizon. obstacles: at most 64, where they are now. quaternion: (k, 4), x, y, z, w, or axis: (k, 3), what the tip's orientation shall be.
+    /// budget_s: ends the solve with the best solution so far [s]; budget_quanta: the same after this amount of work (SolveReport.quanta), repeatable.
     /// previous_rates: (2 n,) [rad/s], of the last command; zero if left out. elapsed_periods: since the last solve. seed: of the swarm; by default a
     /// function of the seed in the settings and of how many solves there were.
     /// Returns rates (2 n,) [rad/s], plan (blocks, 2 n) [rad/s] and report. Raises ArgumentError for wrong shapes, NaN, infinite numbers and too many obstacles.
@@ -190,7 +189,7 @@ impl SolveReport {
         status_word(self.inner.status)
     }
 
-    /// By how much the plan breaks its worst constraint at worst: metres of clearance, or parts of a limit; 0: none is broken.
+    /// By how much the plan breaks its worst constraint: metres of clearance, or parts of a limit; 0: none is broken.
     #[getter]
     fn violation(&self) -> f64 {
         match self.inner.status {

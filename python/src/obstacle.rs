@@ -6,7 +6,7 @@ use crate::arrays::{ArrayLike, Doubles, triple};
 use crate::errors::Failure;
 use crate::numbers::{SECONDS, within};
 
-/// What the body must stay clear of: a sphere, or a capsule (all points within a radius of a segment), in the base frame.
+/// An obstacle, of which the body must stay clear: a sphere, or a capsule (all points within a radius of a segment), in the base frame.
 #[pyclass(frozen, module = "cdcr", from_py_object)]
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Obstacle {
@@ -75,7 +75,7 @@ impl Obstacle {
         Ok(Self { inner })
     }
 
-    /// For pickle and copy: what makes the same obstacle.
+    /// For pickle and copy: the arguments that make the same obstacle.
     #[pyo3(signature = () -> "tuple[Any, ...]")]
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Py<PyAny>,))> {
         let [start_m, end_m] = self.axis();

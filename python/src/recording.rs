@@ -155,7 +155,7 @@ fn unreadable(path: &str, error: &ReadError) -> Failure {
     Failure::new(
         Class::Recording,
         format!("{path}: {error}"),
-        format!("Recover all whole parts with: cdcrctl info --repair {path}"),
+        format!("Recover all intact parts with: cdcrctl info --repair {path}"),
     )
 }
 

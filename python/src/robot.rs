@@ -128,7 +128,7 @@ impl Robot {
 
     /// The robot in the table `[robot]` of a configuration of cdcrd.
     ///
-    /// Raises ArgumentError for a file that is none, an unknown key, and a value outside its range.
+    /// Raises ArgumentError for a file that is not a configuration, an unknown key, and a value outside its range.
     #[staticmethod]
     fn from_toml(path: PathBuf) -> PyResult<Self> {
         // Values of the default configuration for keys that the file does not contain.

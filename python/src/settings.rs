@@ -108,7 +108,7 @@ pub(crate) fn setting_texts() -> BTreeMap<&'static str, String> {
 
 /// The settings of the solver in the table `[controller]` of a configuration of cdcrd; the defaults for keys that are not there.
 ///
-/// Raises ArgumentError for a file that is none, an unknown key, and a value outside its range.
+/// Raises ArgumentError for a file that is not a configuration, an unknown key, and a value outside its range.
 #[pyfunction]
 pub(crate) fn settings_from_toml(path: PathBuf) -> PyResult<Settings> {
     let mut file = read(&path)?;

@@ -28,7 +28,7 @@ use crate::worker::SIGNALS_EACH;
 /// Default of a daemon for the largest acceleration of a robot behind a driver (rad/s²).
 const ACCELERATION_RAD_S2: f64 = 40.0;
 
-/// A closed loop, period by period: row k is what was after period k + 1. Every array is made anew when it is asked for.
+/// A closed loop, period by period: row k is the state after period k + 1. Every access makes a new array.
 #[pyclass(frozen, module = "cdcr")]
 pub(crate) struct Simulation {
     #[pyo3(get)]
@@ -236,7 +236,7 @@ impl Simulation {
         self.rows(2 * self.robot.inner.section_count(), |row| &row.rates)
     }
 
-    /// Where the tip is in truth [m]: (k, 3).
+    /// True position of the tip [m]: (k, 3).
     #[getter]
     fn tip_position_m(&self) -> Doubles {
         self.rows(3, |row| &row.tip_m)
@@ -248,19 +248,19 @@ impl Simulation {
         self.rows(3, |row| &row.reference_m)
     }
 
-    /// From the reference to the tip in truth [m]: (k,).
+    /// From the reference to the true tip [m]: (k,).
     #[getter]
     fn position_error_m(&self) -> Doubles {
         self.column(|row| row.error_m)
     }
 
-    /// Clearance of the body in truth [m]: (k,); infinite without obstacles.
+    /// True clearance of the body [m]: (k,); infinite without obstacles.
     #[getter]
     fn clearance_m(&self) -> Doubles {
         self.column(|row| row.clearance_m)
     }
 
-    /// What solve, safety checks and the simulated robot took on this machine [s]: (k,). Not the same in each run.
+    /// Time of solve, safety checks and simulated robot on this machine [s]: (k,). Not the same in each run.
     #[getter]
     fn solve_s(&self) -> Doubles {
         self.column(|row| row.solve_s)

@@ -55,7 +55,7 @@ message! {
 }
 
 impl Command {
-    /// When motors that took this command of speeds at `taken_ns` have rested until `now_ns` without a newer one, for
+    /// When motors that took this velocity command at `taken_ns` have rested until `now_ns` without a newer one, for
     /// [`Measurement::rested_from_ns`](crate::Measurement::rested_from_ns): less the time from the release to `taken_ns`.
     pub fn rest_ns(&self, taken_ns: u64, now_ns: u64) -> Option<Range<u64>> {
         let from_ns = self.valid_until_ns.max(taken_ns);

@@ -6,7 +6,7 @@ message! {
     /// it to the next daemon, as the client library does. Except for a stop, the daemon rejects a request that was sent
     /// more than 1 s before ([`Outcome::Stale`](crate::codes::Outcome::Stale)).
     pub struct Request "cdcr.Request.v3" {
-        /// Sender, sequence, time. The sender's identity is what a lease is bound to.
+        /// Sender, sequence, time. A lease is bound to the sender's identity.
         header: Header,
         /// [`codes::RequestKind`](crate::codes::RequestKind).
         kind: u32 [code RequestKind],
@@ -30,7 +30,7 @@ message! {
         outcome: u32 [code Outcome],
         /// [`codes::Mode`](crate::codes::Mode) after the request.
         mode: u32 [code Mode],
-        /// Holder of the reference lease after the request; 0: nobody.
+        /// Holder of the reference lease after the request; 0: none.
         lease_holder: u64,
         /// How long the lease still runs \[ns\].
         lease_left_ns: u64,

@@ -15,7 +15,7 @@ message! {
         steal_ns: u64,
         /// Length of that window \[ns\], which ends just before the publication; 0: it could not be read.
         steal_window_ns: u64,
-        /// The record of the cycle, as its readers got it, but for `scheduling.late_cause`: where steal of at least a
+        /// The record of the cycle, as its readers received it, except `scheduling.late_cause`: where steal of at least a
         /// tick and half of the lateness explains it, the daemon puts platform in place of load, stall or compute. The
         /// telemetry service keeps the cause as first seen.
         telemetry: Telemetry,

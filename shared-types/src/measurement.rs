@@ -28,11 +28,11 @@ message! {
         interface: u32 [code Interface],
         /// Zero.
         reserved: u32 [reserved],
-        /// Begin of the newest time in which motors of speeds rested because their command had run out \[ns, `CLOCK_MONOTONIC`\], along the
+        /// Begin of the newest time in which velocity-controlled motors rested because their command had run out \[ns, `CLOCK_MONOTONIC`\], along the
         /// commands: where the driver took the last one 2 ms after its release, 2 ms before the time of its clock. The daemon compares it with the
         /// measured bends.
         rested_from_ns: u64,
-        /// End of that time, or when this is sent if the motors still rest, likewise. 0: the driver does not say it, or the motors have
+        /// End of that time, or when this is sent if the motors still rest, likewise. 0: the driver does not state it, or the motors have
         /// not rested since the first command. Ignored where the driver obeys positions, whose motors make up for a rest.
         rested_until_ns: u64,
         /// Bend vector (u₁, v₁, u₂, v₂, …) \[rad\].

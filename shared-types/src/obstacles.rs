@@ -25,8 +25,7 @@ message! {
         /// that moves is refused as in the past if it is older than 1 s when it arrives (`OBSTACLE_AGE_MS_MAX`), as with 0.
         measured_ns: u64,
         /// How long it stays known after `measured_ns` \[ns\]; 0: until removed. An obstacle whose lifetime
-        /// is over when it arrives is refused as in the past, one that has left the range of positions by then as out of range. Where the daemon watches those who send obstacles
-        /// (`obstacles.source_timeout_ms`), one does not expire before its sender has sent something after that
+        /// is over when it arrives is refused as in the past, one that has left the range of positions by then as out of range. Where the daemon watches the senders of obstacles (`obstacles.source_timeout_ms`), one does not expire before its sender has sent something after that
         /// (`header.sent_ns`); in a telemetry record this is then 0.
         lifetime_ns: u64,
     }

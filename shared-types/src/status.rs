@@ -151,7 +151,7 @@ message! {
         faults: u64,
         /// Cycles in which the clearance guard changed the command.
         clearance_guarded: u64,
-        /// Obstacle updates that were refused, for whatever reason.
+        /// Obstacle updates that were refused, for any reason.
         obstacles_refused: u64,
         /// Input messages by their [`Outcome`], index = code; 0 counts the accepted ones.
         outcomes: [u64; Outcome::COUNT] [per Outcome 0],
@@ -174,8 +174,8 @@ message! {
         /// Smallest clearance in the newest cycle \[m\]: the smaller of that by the estimate, as in [`Telemetry`](crate::Telemetry), and that by the
         /// measured bends. Infinite without obstacles.
         clearance_m: f64,
-        /// How far the tip may be from where the bends place it \[m\], as in [`Telemetry`](crate::Telemetry): that much thicker the body counts
-        /// in `clearance_m`.
+        /// How far the tip may be from where the bends place it \[m\], as in [`Telemetry`](crate::Telemetry): in `clearance_m`
+        /// the body is thicker by this distance.
         tip_margin_m: f64,
 
         /// The robot of the daemon's configuration.
@@ -193,7 +193,7 @@ message! {
         position_error_m: f64,
         /// Position of the reference in the newest cycle \[m\]; NaN without one.
         reference_position_m: [f64; 3],
-        /// Distance of tip and reference when a sensor of the tip measured it last \[m\]: its noise is in it, and what the model is off by. NaN without
+        /// Distance of tip and reference when a sensor of the tip measured it last \[m\]: with the noise of the sensor and the error of the model. NaN without
         /// a reference or such a sensor.
         measured_error_m: f64,
         /// Following error of each section in the newest cycle \[rad\], as in [`Telemetry`](crate::Telemetry).
@@ -210,17 +210,17 @@ message! {
 
         /// Smallest `safe_distance_m` that a client may ask for \[m\]: that of the configuration.
         safe_distance_min_m: f64,
-        /// A sender of obstacles with a lifetime that is not heard for this long is silent \[ns\]; 0: nobody is watched.
+        /// A sender of obstacles with a lifetime that is not heard for this long is silent \[ns\]; 0: no sender is watched.
         obstacle_source_timeout_ns: u64,
         /// The one of them that has been silent for the longest time, by its `header.sender_id`: its obstacles stay; 0: none is silent.
         silent_obstacle_source: u64,
         /// Begin of its silence \[ns, `CLOCK_MONOTONIC`\]: when its last update was taken, later by the time in which the daemon stood still.
         silent_since_ns: u64,
-        /// [`SolverSettings`] has this `rate_weight` where nobody sets another: it depends on the robot.
+        /// [`SolverSettings`] has this `rate_weight` unless a client sets another: it depends on the robot.
         rate_weight_auto: f64 [unit "s²/rad²"],
         /// When the tip was measured last beside bends or cables \[ns, `CLOCK_MONOTONIC`\]; 0: it was not.
         tip_measured_ns: u64,
-        /// Measurements of the tip that were refused since the start, for whatever reason.
+        /// Measurements of the tip that were refused since the start, for any reason.
         tips_refused: u64,
         /// Distance of the measured tip from where the newest refused first bends placed it \[m\], in whole millimetres; after them, from
         /// where the measured bends place it, where it is so far that a reset is refused; 0: nothing is refused for it.

@@ -23,7 +23,7 @@ message! {
         kind: u32 [code EventKind],
         /// [`codes::Outcome`](crate::codes::Outcome).
         outcome: u32 [code Outcome],
-        /// Place of the trouble: index of the point or obstacle; for a request its
+        /// Detail of the outcome: index of the point or obstacle; for a request its
         /// [`codes::RequestKind`](crate::codes::RequestKind), with `accepts_pose` `ResetAcceptingPose`; for an accepted obstacle update
         /// how many obstacles are known after it; for first bends that a tip contradicts, its distance in mm.
         detail: u32,
@@ -206,7 +206,7 @@ message! {
         measurement_jump_rad: f64,
         /// How far the robot may be commanded while the measurement stands still \[rad\].
         measurement_frozen_rad: f64,
-        /// So many jumps in a row are a fault.
+        /// This many consecutive jumps are a fault.
         measurement_jump_limit: u32,
         /// [`codes::MeasurementState`](crate::codes::MeasurementState).
         measurement_state: u32 [code MeasurementState],
@@ -234,16 +234,15 @@ message! {
         reference: ReferenceSample,
         /// The way to it that the plan follows.
         approach: Approach,
-        /// Bend vector at the release \[rad\]: behind `bend_rad` by what the motors are behind their commands.
+        /// Bend vector at the release \[rad\]: behind `bend_rad` by the lag of the motors behind their commands.
         present_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// The tip as it was measured beside bends or cables \[m\]; zero when it was not.
         tip_measured_m: [f64; 3],
         /// When the tip of `tip_measured_m` was measured \[ns, `CLOCK_MONOTONIC`\].
         tip_measured_ns: u64,
-        /// How far the tip is measured beside where the bends place it, smoothed \[m\]. The plan's reference is moved back by it.
+        /// Offset of the measured tip from where the bends place it, smoothed \[m\]. The plan's reference is moved back by it.
         tip_offset_m: [f64; 3],
-        /// How far the tip may be beside where the bends place it \[m\]: the length of `tip_offset_m`, and three standard deviations of what the
-        /// measurements leave open of it. So much thicker the body counts for plan and guard.
+        /// Distance that the tip may have from where the bends place it \[m\]: the length of `tip_offset_m`, and three standard deviations of its uncertainty. For plan and guard the body is thicker by this distance.
         tip_margin_m: f64,
         /// Tip position at the release, from `present_rad` and `tip_offset_m` \[m\].
         tip_position_m: [f64; 3],
@@ -283,9 +282,9 @@ message! {
         motor_time_constant_ns: u64,
         /// Bend vector at the end of the motors' delay \[rad\], where this cycle's command begins to act.
         delayed_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
-        /// Where the commands up to this release lead the motors \[rad\]: `bend_rad` is beside that by the play of the cables.
+        /// Where the commands up to this release lead the motors \[rad\]: `bend_rad` differs from that by the play of the cables.
         motor_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
-        /// What of that play is taken there: each cable minus its motor \[m\].
+        /// Used part of that play there: each cable minus its motor \[m\].
         slack_m: [f64; CABLES_MAX] [used 3 command.sections],
         /// Play of the cables \[m\]; 0: none.
         play_m: f64,

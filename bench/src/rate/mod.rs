@@ -40,7 +40,7 @@ pub struct RateOptions {
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
     /// Let the daemon wake up this long before each release and spin, 0 (no rehearsal) to 1000 µs; at most a quarter
-    /// of the period [default: as the daemon].
+    /// of the period [default: that of the daemon].
     #[arg(long = "spin", value_name = "US", value_parser = spin_us)]
     pub spin_us: Option<f64>,
     /// How long a trial measures at least: seconds, and periods.

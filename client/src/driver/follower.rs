@@ -234,7 +234,7 @@ impl CommandFollower {
         }
         let takes_s = 1e-9 * (command.target_ns - command.release_ns).max(1) as f64;
         let mut begin = CommandedPosition::from_command(command);
-        // The commanded shape of motors of speeds may have drifted away from the robot.
+        // The commanded shape of velocity-controlled motors may have drifted away from the robot.
         if let Some(measured) = &self.measured {
             let bends_rad = measured_bends::bends_rad(&self.robot, measured);
             if bends_rad.iter().all(|rad| rad.is_finite()) {

@@ -21,11 +21,11 @@ pub(super) fn after_help() -> String {
 }
 
 const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --format csv > bare.csv\n\n\
-    The cycle thread of the configuration (core, priority, locked memory, period) wakes up before each release\n\
-    (realtime.spin_us), spins until the release and reads the clock. Lateness is evaluated as in cdcrd run, but is caused by\n\
-    the machine alone. Uses no shared memory, so it can run beside a daemon; on the same core the two\n\
+    The cycle thread of the configuration (core, priority, locked memory, period) wakes up before each release \
+    (realtime.spin_us), spins until the release and reads the clock. Lateness is evaluated as in cdcrd run, but is caused by \
+    the machine alone. Uses no shared memory, so it can run beside a daemon; on the same core the two \
     disturb each other. SIGINT and SIGTERM end it early and print the results so far.\n\n\
-    --format csv prints one line per cycle. run_delay_ns and page_faults are empty where the kernel does not\n\
+    --format csv prints one line per cycle. run_delay_ns and page_faults are empty where the kernel does not \
     report them. Logs to the standard error.";
 
 #[derive(Debug, Args)]

@@ -13,8 +13,8 @@ use crate::doctor::{DoctorReport, Finding, Severity, examine};
 /// Help text after the options.
 pub(super) const AFTER_HELP: &str = "Example: cdcrd doctor --config robot.toml --format json\n\
     Takes one second to sample the threads that use the core of the real-time threads.\n\n\
-    Exit status: 0 ok; 10 a warning or an unknown value; 20 a fault: the daemon\n\
-    does not start, or lacks a need of realtime.mode = \"require\". With realtime.mode = \"off\",\n\
+    Exit status: 0 ok; 10 a warning or an unknown value; 20 a fault: the daemon \
+    does not start, or lacks a need of realtime.mode = \"require\". With realtime.mode = \"off\", \
     findings that only affect real time are shown as ok.";
 
 #[derive(Debug, Args)]

@@ -34,8 +34,8 @@ enum DaemonCommand {
     #[command(after_help = "Example: cdcrd run --config robot.toml\n\
         Without --config, simulates the paper's robot with three sections.\n\
         Logs to the standard error; RUST_LOG=debug logs more.\n\n\
-        Signals: SIGINT and SIGTERM bring the robot to rest and end the daemon. SIGUSR1 stops the robot and latches\n\
-        like cdcrctl stop, without shared memory. SIGHUP reloads the configuration: applies changes of [controller] and\n\
+        Signals: SIGINT and SIGTERM bring the robot to rest and end the daemon. SIGUSR1 stops the robot and latches \
+        like cdcrctl stop, without shared memory. SIGHUP reloads the configuration: applies changes of [controller] and \
         cycle.budget_ms, logs other changed keys, and changes nothing if the configuration is invalid.")]
     Run {
         #[command(flatten)]

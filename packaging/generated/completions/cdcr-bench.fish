@@ -33,21 +33,21 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "rate" -d 'Mea
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "footprint" -d 'Measure resource use of a daemon at 200 Hz: core share per thread, memory, files, start time'
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "quality" -d 'Measure error, clearance and cost over the time budget, the swarm and the horizon, on the paper\'s and on harder scenes, and how often a solver gets stuck'
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "robustness" -d 'Measure the true tip error of robots that differ from their model (lag, noise, play, geometry, load), and the effect of each part of the controller'
-complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "paper" -d 'Run the paper\'s three simulations (spiral, line with orientation, circle with an obstacle) with every solver, next to the paper\'s figures'
+complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "paper" -d 'Run the paper\'s three simulations (spiral, line with orientation, circle with an obstacle) with every solver, next to the paper\'s results'
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "solver" -d 'Measure solve times on every SIMD path of this processor, over sections, steps, particles, iterations and obstacles'
-complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "budget" -d 'Measure by how much a solve exceeds its time budget, from 0 to 1 ms, and check that its plan is never worse than the warm start'
+complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "budget" -d 'Measure by how much a solve exceeds time budgets from 0 to 1 ms, and check that its plan is never worse than the warm start'
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "compare" -d 'Compare two runs and list changes beyond the noise of their rounds'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l out -d 'Output folder for report.html, report.txt, report.json, a CSV per table, SVG plots and raw histograms; created if missing, written only at the end' -r -F
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l rounds -d 'Rounds per benchmark, 1 to 100 [default: as each benchmark]; compare needs at least 3' -r
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l rounds -d 'Rounds per benchmark, 1 to 100 [default: that of each benchmark]; compare needs at least 3' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l only -d 'Run only these benchmarks, comma-separated' -r -f -a "deadline\t'Measure deadline misses and latencies of the daemon under named loads, next to a bare loop in the same run'
 latency\t'Measure message latencies: reference, obstacle, measurement, request and stop, next to iceoryx2 alone'
 rate\t'Measure the shortest period that a daemon holds with 1, 2 and 3 sections, every solver and two horizons, and what limits it'
 footprint\t'Measure resource use of a daemon at 200 Hz: core share per thread, memory, files, start time'
 quality\t'Measure error, clearance and cost over the time budget, the swarm and the horizon, on the paper\'s and on harder scenes, and how often a solver gets stuck'
 robustness\t'Measure the true tip error of robots that differ from their model (lag, noise, play, geometry, load), and the effect of each part of the controller'
-paper\t'Run the paper\'s three simulations (spiral, line with orientation, circle with an obstacle) with every solver, next to the paper\'s figures'
+paper\t'Run the paper\'s three simulations (spiral, line with orientation, circle with an obstacle) with every solver, next to the paper\'s results'
 solver\t'Measure solve times on every SIMD path of this processor, over sections, steps, particles, iterations and obstacles'
-budget\t'Measure by how much a solve exceeds its time budget, from 0 to 1 ms, and check that its plan is never worse than the warm start'"
+budget\t'Measure by how much a solve exceeds time budgets from 0 to 1 ms, and check that its plan is never worse than the warm start'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l config -d 'Configuration of the daemon in deadline and latency [default: three sections]. The other benchmarks use their own. With this option no targets are evaluated' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l quick -d 'Run all benchmarks in a few minutes; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -s h -l help -d 'Print help (see more with \'--help\')'
@@ -86,7 +86,7 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l out -d
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l quick -d 'Run a small part in some seconds, to see that everything runs; not a measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l rounds -d 'Measurements of the default at each of its periods, 1 to 100. The search for the shortest periods runs once' -r
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l spin -d 'Let the daemon wake up this long before each release and spin, 0 (no rehearsal) to 1000 µs; at most a quarter of the period [default: as the daemon]' -r
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l spin -d 'Let the daemon wake up this long before each release and spin, 0 (no rehearsal) to 1000 µs; at most a quarter of the period [default: that of the daemon]' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l format -d 'Output format' -r -f -a "text\t'Text table'
 markdown\t'Markdown table'
 json\t'One JSON object'

@@ -125,7 +125,7 @@ pub(crate) enum CtlCommand {
         grants real time; or null"
     )]
     Demo(DemoOptions),
-    /// Feed a reference to the daemon, ahead of its time
+    /// Feed a reference to the daemon, ahead of time
     #[command(after_help = "Example:\n  cdcrctl ref spiral --track")]
     Ref(RefOptions),
     /// Move the tip to a point along a straight line, from rest to rest, then hold

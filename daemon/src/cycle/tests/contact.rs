@@ -73,7 +73,7 @@ fn noise_beside_an_obstacle_is_no_contact() {
     }
 }
 
-/// Beside a ball, motors of speeds with this time constant, as configured.
+/// Beside a ball, velocity-controlled motors with this time constant, as configured.
 fn beside_a_ball_with_lag(lag_ms: f64) -> (Trial, Obstacle) {
     let actuator = Actuator {
         delay_s: 0.01,
@@ -85,7 +85,7 @@ fn beside_a_ball_with_lag(lag_ms: f64) -> (Trial, Obstacle) {
 }
 
 /// The least true clearance \[m\] beside a ball, and the turn of a contact fault, behind a driver with `lag_ms` that in the last
-/// `faulty` of `every` turns may not measure, or not get the commands: its motors of speeds then rest when the last one has run out.
+/// `faulty` of `every` turns may not measure, or not get the commands: its velocity-controlled motors then rest when the last one has run out.
 fn beside_a_ball_with_faults(
     [measures, obeys]: [bool; 2],
     (lag_ms, faulty, every): (f64, u32, u32),

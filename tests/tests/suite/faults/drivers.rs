@@ -47,7 +47,7 @@ fn a_killed_driver_is_a_lost_measurement() {
     });
 }
 
-/// A driver of positions hangs while the robot is sent home, until `mode`. When it goes on, the motors stay where they are,
+/// A position driver hangs while the robot is sent home, until `mode`. When it goes on, the motors stay where they are,
 /// also while a reset moves the commanded position to them.
 fn stays_after_a_hang(mode: Mode) -> Option<()> {
     let daemon = daemon(Interface::Position);

@@ -47,7 +47,7 @@ fn a_robot_that_does_not_follow_is_a_fault() {
         let place = "rad from its command";
         wait_until("the log names it", || daemon.log().contains(place));
         assert_ramps_to_rest(&mut trail, &now, || robot.turn());
-        // What its driver sees: motors of positions push on, by all of the error.
+        // What its driver sees: position-controlled motors push on, by all of the error.
         let distance_rad = |command: &Command, bend_rad: &[f64; 12]| {
             largest(&core::array::from_fn::<_, 12, _>(|i| {
                 command.bend_target_rad[i] - bend_rad[i]

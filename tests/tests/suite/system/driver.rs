@@ -124,7 +124,7 @@ fn a_fault_while_tracking_ends_the_feed_with_its_cause() {
     assert_eq!(status.mode, Mode::Faulted.code());
 }
 
-/// A process of speeds that has not measured yet, beside the driver: in its first second it follows no command for the driver,
+/// A velocity driver that has not measured yet, beside the driver: in its first second it follows no command for the driver,
 /// because it may be about to measure another robot. Later it counts as one that measures nothing, and follows.
 #[test]
 fn a_driver_follows_no_foreign_command_in_its_first_second() {

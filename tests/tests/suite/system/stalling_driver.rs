@@ -1,4 +1,4 @@
-//! A driver of speeds that measures while its motors get no commands, again and again, beside an obstacle.
+//! A velocity driver that measures while its motors get no commands, again and again, beside an obstacle.
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;

@@ -58,7 +58,7 @@ pub(crate) struct InfoOptions {
     /// Output format
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
-    /// Recover all that is whole of a truncated or damaged recording, with an index, as NAME-repaired.mcap
+    /// Recover all intact data of a truncated or damaged recording, with an index, as NAME-repaired.mcap
     #[arg(long)]
     pub(crate) repair: bool,
 }

@@ -26,7 +26,7 @@ pub(crate) enum Curve {
     /// The paper's circle, §4.3
     #[command(after_help = "Example:\n  cdcrctl ref circle --radius 0.1 --rate 2 --track")]
     Circle(CircleOptions),
-    /// A helix around an axis, forth and back
+    /// A helix around an axis, back and forth
     #[command(
         after_help = "Example:\n  cdcrctl ref helix --turns 2 --rise 0.05 --speed 0.2 --repeat 2 --track"
     )]

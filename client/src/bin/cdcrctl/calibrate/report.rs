@@ -180,7 +180,7 @@ fn fragment(
     recording: &CalibrationRows,
     found: &Calibration,
 ) -> Result<String, Error> {
-    // A driver of positions follows a first command within the tolerance.
+    // A position driver follows a first command within the tolerance.
     let sections = &found.geometry.robot.sections;
     let tolerances_m = cable_tolerances_m(sections.iter().map(|section| section.cable_radius_m));
     let mut straight_m = 0.0;

@@ -165,7 +165,7 @@ impl<R: Read> Recording<R> {
                 .next_item()
                 .map_err(|error| match error.downcast_ref() {
                     Some(ReadError::Damaged(_)) => anyhow!(
-                        "{error:#}; recover all whole parts with `cdcrctl info --repair {name}`"
+                        "{error:#}; recover all intact parts with `cdcrctl info --repair {name}`"
                     ),
                     _ => error,
                 })?;

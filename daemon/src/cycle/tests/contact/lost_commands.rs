@@ -1,4 +1,4 @@
-//! A driver of speeds that goes on measuring and loses commands at any time of its approach to an obstacle, in lockstep.
+//! A velocity driver that goes on measuring and loses commands at any time of its approach to an obstacle, in lockstep.
 
 use super::super::trial::losing::{LosingDriver, Losses};
 use super::beside_a_ball_with_lag;

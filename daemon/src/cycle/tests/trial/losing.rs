@@ -1,4 +1,4 @@
-//! A driver of speeds that loses commands at any time and goes on measuring, in steps of a millisecond.
+//! A velocity driver that loses commands at any time and goes on measuring, in steps of a millisecond.
 
 use cdcr_controller::robot::Obstacle;
 use cdcr_shared_types::Command;

@@ -60,7 +60,7 @@ fn of_a_damaged_recording_all_that_is_whole_is_saved() {
     fs::write(file.with_file_name("damaged.mcap"), &wrong).unwrap();
     let says = [
         "error: damaged.mcap: the recording is damaged",
-        "; recover all whole parts with `cdcrctl info --repair damaged.mcap`",
+        "; recover all intact parts with `cdcrctl info --repair damaged.mcap`",
     ];
     place.checked("cdcrctl info damaged.mcap", 1, &says);
     let says = [
