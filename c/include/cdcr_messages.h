@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x6c5ab0daab5cba6a)
+#define CDCR_LAYOUT UINT64_C(0x5366947cf7eaf04e)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -327,6 +327,7 @@ typedef enum CdcrWinner {
 #define CDCR_GUARD_FLAGS_CABLE_STROKE UINT32_C(32)
 #define CDCR_GUARD_FLAGS_ACCELERATION UINT32_C(64)
 #define CDCR_GUARD_FLAGS_TIP_SPEED UINT32_C(128)
+#define CDCR_GUARD_FLAGS_SELF_CONTACT UINT32_C(256)
 
 /* Bits of realtime_missing. */
 #define CDCR_REALTIME_MISSING_SCHED_FIFO UINT32_C(1)
@@ -614,7 +615,7 @@ typedef struct CdcrSectionDescription {
 } CdcrSectionDescription;
 CDCR_ASSERT_SIZE(CdcrSectionDescription, 48);
 
-/* cdcr.RobotDescription.v2, 328 bytes. */
+/* cdcr.RobotDescription.v3, 336 bytes. */
 typedef struct CdcrRobotDescription {
     /* 0: Sections used, 1 ..= SECTIONS_MAX. */
     uint32_t sections;
@@ -628,10 +629,12 @@ typedef struct CdcrRobotDescription {
     double cable_stroke_max_m;
     /* 32: Largest commanded speed of the end of any section, seen from the base [m/s]; 0: no limit. */
     double tip_speed_max_m_s;
-    /* 40: used: 1 * sections. The sections, base first. */
+    /* 40: Overlap of two parts of the body, by their body_radius_m, that a command may lead to [m]. */
+    double self_overlap_max_m;
+    /* 48: used: 1 * sections. The sections, base first. */
     CdcrSectionDescription section[6];
 } CdcrRobotDescription;
-CDCR_ASSERT_SIZE(CdcrRobotDescription, 328);
+CDCR_ASSERT_SIZE(CdcrRobotDescription, 336);
 
 /* cdcr.LatencySummary.v1, 48 bytes. */
 typedef struct CdcrLatencySummary {
@@ -705,7 +708,7 @@ typedef struct CdcrStatistics {
 } CdcrStatistics;
 CDCR_ASSERT_SIZE(CdcrStatistics, 456);
 
-/* cdcr.Status.v17, 2320 bytes. */
+/* cdcr.Status.v18, 2328 bytes. */
 typedef struct CdcrStatus {
     /* 0: The daemon, sequence, time. */
     CdcrHeader header;
@@ -776,65 +779,65 @@ typedef struct CdcrStatus {
     double tip_margin_m;
     /* 1448: The robot of the daemon's configuration. */
     CdcrRobotDescription robot;
-    /* 1776: The solver's settings. */
+    /* 1784: The solver's settings. */
     CdcrSolverSettings settings;
-    /* 1952: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
+    /* 1960: How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and
      * the configuration sets no cycle.miss_limit. */
     uint64_t misses_tolerated;
-    /* 1960: Position of the tip in the newest cycle [m], as in Telemetry. */
+    /* 1968: Position of the tip in the newest cycle [m], as in Telemetry. */
     double tip_position_m[3];
-    /* 1984: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
+    /* 1992: Distance of tip and reference in the newest cycle [m]; NaN without a reference. */
     double position_error_m;
-    /* 1992: Position of the reference in the newest cycle [m]; NaN without one. */
+    /* 2000: Position of the reference in the newest cycle [m]; NaN without one. */
     double reference_position_m[3];
-    /* 2016: Distance of tip and reference when a sensor of the tip measured it last [m]: with the noise of the
+    /* 2024: Distance of tip and reference when a sensor of the tip measured it last [m]: with the noise of the
      * sensor and the error of the model. NaN without a reference or such a sensor. */
     double measured_error_m;
-    /* 2024: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
+    /* 2032: used: 1 * robot.sections. Following error of each section in the newest cycle [rad], as in Telemetry. */
     double following_error_rad[6];
-    /* 2072: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
+    /* 2080: used: 3 * robot.sections. Following error of each cable in the newest cycle [m], as in Telemetry. */
     double following_error_m[18];
-    /* 2216: Cycles in which the following error was above the warning. */
+    /* 2224: Cycles in which the following error was above the warning. */
     uint64_t following_warnings;
-    /* 2224: CdcrInterface. */
+    /* 2232: CdcrInterface. */
     uint32_t interface;
-    /* 2228: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
+    /* 2236: CdcrReason why a reset is refused in the newest cycle, in the modes stopped and faulted; Start: it is
      * not. */
     uint32_t reset_refused_by;
-    /* 2232: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
+    /* 2240: Smallest safe_distance_m that a client may ask for [m]: that of the configuration. */
     double safe_distance_min_m;
-    /* 2240: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: no sender is
+    /* 2248: A sender of obstacles with a lifetime that is not heard for this long is silent [ns]; 0: no sender is
      * watched. */
     uint64_t obstacle_source_timeout_ns;
-    /* 2248: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
+    /* 2256: The one of them that has been silent for the longest time, by its header.sender_id: its obstacles stay;
      * 0: none is silent. */
     uint64_t silent_obstacle_source;
-    /* 2256: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
+    /* 2264: Begin of its silence [ns, CLOCK_MONOTONIC]: when its last update was taken, later by the time in which
      * the daemon stood still. */
     uint64_t silent_since_ns;
-    /* 2264: s²/rad². SolverSettings has this rate_weight unless a client sets another: it depends on the robot. */
+    /* 2272: s²/rad². SolverSettings has this rate_weight unless a client sets another: it depends on the robot. */
     double rate_weight_auto;
-    /* 2272: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
+    /* 2280: When the tip was measured last beside bends or cables [ns, CLOCK_MONOTONIC]; 0: it was not. */
     uint64_t tip_measured_ns;
-    /* 2280: Measurements of the tip that were refused since the start, for any reason. */
+    /* 2288: Measurements of the tip that were refused since the start, for any reason. */
     uint64_t tips_refused;
-    /* 2288: Distance of the measured tip from where the newest refused first bends placed it [m], in whole
+    /* 2296: Distance of the measured tip from where the newest refused first bends placed it [m], in whole
      * millimetres; after them, from where the measured bends place it, where it is so far that a reset is refused;
      * 0: nothing is refused for it. */
     double tip_contradiction_m;
-    /* 2296: CdcrOutcome. Outcome of the newest of them; accepted: none was refused since a tip was accepted. */
+    /* 2304: CdcrOutcome. Outcome of the newest of them; accepted: none was refused since a tip was accepted. */
     uint32_t tip_refused_by;
-    /* 2300: 1: yes, 0: no. A tip sensor beside the driver is configured (link.tip_sensor). */
+    /* 2308: 1: yes, 0: no. A tip sensor beside the driver is configured (link.tip_sensor). */
     uint32_t has_tip_sensor;
-    /* 2304: A clearance below this is a fault [m] (safety.clearance_fault_m). */
+    /* 2312: A clearance below this is a fault [m] (safety.clearance_fault_m). */
     double clearance_fault_m;
-    /* 2312: CdcrTipCause why the newest tip measured beside bends or cables is not used, as in Telemetry. */
+    /* 2320: CdcrTipCause why the newest tip measured beside bends or cables is not used, as in Telemetry. */
     uint32_t tip_cause;
-    /* 2316: 1: yes, 0: no. The driver has measured only the tip: also a tip sensor beside it for which
+    /* 2324: 1: yes, 0: no. The driver has measured only the tip: also a tip sensor beside it for which
      * link.tip_sensor is not set. */
     uint32_t driver_measures_tip_only;
 } CdcrStatus;
-CDCR_ASSERT_SIZE(CdcrStatus, 2320);
+CDCR_ASSERT_SIZE(CdcrStatus, 2328);
 
 /* cdcr.InputEvent.v1, 40 bytes. */
 typedef struct CdcrInputEvent {
@@ -942,7 +945,7 @@ typedef struct CdcrSchedulingReport {
 } CdcrSchedulingReport;
 CDCR_ASSERT_SIZE(CdcrSchedulingReport, 40);
 
-/* cdcr.Telemetry.v14, 15624 bytes. */
+/* cdcr.Telemetry.v15, 15632 bytes. */
 typedef struct CdcrTelemetry {
     /* 0: The daemon, number of the record, time of publication. */
     CdcrHeader header;
@@ -1003,148 +1006,148 @@ typedef struct CdcrTelemetry {
     CdcrSolverSettings settings;
     /* 1880: The robot of the daemon's configuration. */
     CdcrRobotDescription robot;
-    /* 2208: First cycle of the reference window: the samples reach from its release past the horizon, by up to 60
+    /* 2216: First cycle of the reference window: the samples reach from its release past the horizon, by up to 60
      * periods (60 at 5 ms). */
     uint64_t window_first_cycle;
-    /* 2216: How fast rates shrink when holding or stopping [rad/s²]. */
+    /* 2224: How fast rates shrink when holding or stopping [rad/s²]. */
     double deceleration_rad_s2;
-    /* 2224: Rate of the fastest component on the way home [rad/s]. */
+    /* 2232: Rate of the fastest component on the way home [rad/s]. */
     double home_rate_rad_s;
-    /* 2232: Deadline after the release [ns]. */
+    /* 2240: Deadline after the release [ns]. */
     uint64_t deadline_ns;
-    /* 2240: A start later than this after the release it was due at is a late start [ns]. */
+    /* 2248: A start later than this after the release it was due at is a late start [ns]. */
     uint64_t late_start_ns;
-    /* 2248: A measurement older than this is lost [ns]. */
+    /* 2256: A measurement older than this is lost [ns]. */
     uint64_t measurement_timeout_ns;
-    /* 2256: A clearance below this is a fault [m]. */
+    /* 2264: A clearance below this is a fault [m]. */
     double clearance_fault_m;
-    /* 2264: How far a measurement may jump [rad]. */
+    /* 2272: How far a measurement may jump [rad]. */
     double measurement_jump_rad;
-    /* 2272: How far the robot may be commanded while the measurement stands still [rad]. */
+    /* 2280: How far the robot may be commanded while the measurement stands still [rad]. */
     double measurement_frozen_rad;
-    /* 2280: This many consecutive jumps are a fault. */
+    /* 2288: This many consecutive jumps are a fault. */
     uint32_t measurement_jump_limit;
-    /* 2284: CdcrMeasurementState. */
+    /* 2292: CdcrMeasurementState. */
     uint32_t measurement_state;
-    /* 2288: Level at which the leaky bucket stops the robot; 0: it does not. */
+    /* 2296: Level at which the leaky bucket stops the robot; 0: it does not. */
     uint32_t miss_limit;
-    /* 2292: CdcrLeaseState. */
+    /* 2300: CdcrLeaseState. */
     uint32_t lease_state;
-    /* 2296: Scalars of warm_plan and plan that are used; 0: the solver did not run. */
+    /* 2304: Scalars of warm_plan and plan that are used; 0: the solver did not run. */
     uint32_t plan_length;
-    /* 2300: Obstacles of this cycle, 0 ..= OBSTACLES_MAX. */
+    /* 2308: Obstacles of this cycle, 0 ..= OBSTACLES_MAX. */
     uint32_t obstacle_count;
-    /* 2304: used: 1 * obstacle_count. The obstacles as used, in this order, where they are at the release (plan and
+    /* 2312: used: 1 * obstacle_count. The obstacles as used, in this order, where they are at the release (plan and
      * guard look at them reference_lead_ns later): measured_ns is the release, lifetime_ns what is left of their
      * lifetime then, 0: until removed. The first obstacle_count are used. */
     CdcrObstacle obstacles[64];
-    /* 8960: used: 1 * plan_length. The plan that the solver started from [rad/s], block by block. */
+    /* 8968: used: 1 * plan_length. The plan that the solver started from [rad/s], block by block. */
     double warm_plan[300];
-    /* 11360: used: 1 * plan_length. The solution [rad/s], block by block. */
+    /* 11368: used: 1 * plan_length. The solution [rad/s], block by block. */
     double plan[300];
-    /* 13760: What the solver did. */
+    /* 13768: What the solver did. */
     CdcrSolverReport report;
-    /* 13832: Reference at the release. */
+    /* 13840: Reference at the release. */
     CdcrReferenceSample reference;
-    /* 13896: The way to it that the plan follows. */
+    /* 13904: The way to it that the plan follows. */
     CdcrApproach approach;
-    /* 13992: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by the lag of the motors
+    /* 14000: used: 2 * command.sections. Bend vector at the release [rad]: behind bend_rad by the lag of the motors
      * behind their commands. */
     double present_rad[12];
-    /* 14088: The tip as it was measured beside bends or cables [m]; zero when it was not. */
+    /* 14096: The tip as it was measured beside bends or cables [m]; zero when it was not. */
     double tip_measured_m[3];
-    /* 14112: When the tip of tip_measured_m was measured [ns, CLOCK_MONOTONIC]. */
+    /* 14120: When the tip of tip_measured_m was measured [ns, CLOCK_MONOTONIC]. */
     uint64_t tip_measured_ns;
-    /* 14120: Offset of the measured tip from where the bends place it, smoothed [m]. The plan's reference is moved
+    /* 14128: Offset of the measured tip from where the bends place it, smoothed [m]. The plan's reference is moved
      * back by it. */
     double tip_offset_m[3];
-    /* 14144: Distance that the tip may have from where the bends place it [m]: the length of tip_offset_m, and three
+    /* 14152: Distance that the tip may have from where the bends place it [m]: the length of tip_offset_m, and three
      * standard deviations of its uncertainty. For plan and guard the body is thicker by this distance. */
     double tip_margin_m;
-    /* 14152: Tip position at the release, from present_rad and tip_offset_m [m]. */
+    /* 14160: Tip position at the release, from present_rad and tip_offset_m [m]. */
     double tip_position_m[3];
-    /* 14176: Tip orientation at the release, unit quaternion (x, y, z, w). */
+    /* 14184: Tip orientation at the release, unit quaternion (x, y, z, w). */
     double tip_orientation[4];
-    /* 14208: Distance of tip and reference at the release [m]; NaN without a reference. */
+    /* 14216: Distance of tip and reference at the release [m]; NaN without a reference. */
     double position_error_m;
-    /* 14216: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
+    /* 14224: bits CDCR_GUARD_FLAGS_…. Cdcrguard bits: which limits changed the command that the mode wanted. */
     uint32_t guard_flags;
-    /* 14220: CdcrMeasurementState: what became of tip_measured_m. */
+    /* 14228: CdcrMeasurementState: what became of tip_measured_m. */
     uint32_t tip_state;
-    /* 14224: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
+    /* 14232: Smallest distance at the release between the surfaces of body and obstacles, from present_rad and
      * obstacles [m]: negative inside one, infinite without obstacles, NaN when present_rad is not finite. The body
      * counts as thicker by tip_margin_m. */
     double clearance_m;
-    /* 14232: The command as it left. */
+    /* 14240: The command as it left. */
     CdcrCommand command;
-    /* 14792: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
+    /* 14800: used: 2 * command.sections. Commanded bend vector at the release [rad]: command.bend_target_rad is one
      * period later. */
     double commanded_rad[12];
-    /* 14888: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
+    /* 14896: used: 1 * command.sections. Following error of each section [rad]: how far the measured bend vector is
      * from every commanded one of the last following_lag_ns, so that a lag of the motors up to that is not an error.
      * Zero while only the tip is measured. */
     double following_error_rad[6];
-    /* 14936: used: 3 * command.sections. The same of each cable [m]. Where positions are obeyed and lengths
+    /* 14944: used: 3 * command.sections. The same of each cable [m]. Where positions are obeyed and lengths
      * measured, with the difference of the section's mean length from the commanded one, which is not an error of a
      * bend. */
     double following_error_m[18];
-    /* 15080: A following error above this is a warning [rad]. */
+    /* 15088: A following error above this is a warning [rad]. */
     double following_warning_rad;
-    /* 15088: A following error above this is a fault [rad]. */
+    /* 15096: A following error above this is a fault [rad]. */
     double following_fault_rad;
-    /* 15096: How far the motors may lag behind [ns]. */
+    /* 15104: How far the motors may lag behind [ns]. */
     uint64_t following_lag_ns;
-    /* 15104: Largest acceleration of a component [rad/s²]; infinite: no limit. */
+    /* 15112: Largest acceleration of a component [rad/s²]; infinite: no limit. */
     double acceleration_rad_s2;
-    /* 15112: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
+    /* 15120: How far ahead of the reference the motors are commanded [ns]: the delay and time constant of [actuator]
      * together. */
     uint64_t reference_lead_ns;
-    /* 15120: Time constant of the motors [ns]: reference_lead_ns less their delay. */
+    /* 15128: Time constant of the motors [ns]: reference_lead_ns less their delay. */
     uint64_t motor_time_constant_ns;
-    /* 15128: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
+    /* 15136: used: 2 * command.sections. Bend vector at the end of the motors' delay [rad], where this cycle's
      * command begins to act. */
     double delayed_rad[12];
-    /* 15224: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad
+    /* 15232: used: 2 * command.sections. Where the commands up to this release lead the motors [rad]: bend_rad
      * differs from that by the play of the cables. */
     double motor_rad[12];
-    /* 15320: used: 3 * command.sections. Used part of that play there: each cable minus its motor [m]. */
+    /* 15328: used: 3 * command.sections. Used part of that play there: each cable minus its motor [m]. */
     double slack_m[18];
-    /* 15464: Play of the cables [m]; 0: none. */
+    /* 15472: Play of the cables [m]; 0: none. */
     double play_m;
-    /* 15472: used: 2 * command.sections. Commanded position minus the place of the robot where control begins after
+    /* 15480: used: 2 * command.sections. Commanded position minus the place of the robot where control begins after
      * a reset [rad], while moves_to_begin is set: the rates wanted are those of homing from there. */
     double way_rad[12];
-    /* 15568: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
+    /* 15576: A reference farther from the tip than this is not approached [m]; infinite: it is, from anywhere. */
     double approach_distance_m;
-    /* 15576: Largest speed of a tip that is behind its reference and returns to it, in the newest cycle that solved
+    /* 15584: Largest speed of a tip that is behind its reference and returns to it, in the newest cycle that solved
      * [m/s]; infinite: no limit. */
     double pace_m_s;
-    /* 15584: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is
+    /* 15592: 1: yes, 0: no. 1 where a latched mode was left and control has not begun since: a following error is
      * not a fault then. */
     uint32_t control_begins;
-    /* 15588: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
+    /* 15596: 1: yes, 0: no. 1 while the commanded position moves to where control begins after a reset. */
     uint32_t moves_to_begin;
-    /* 15592: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
+    /* 15600: 1: yes, 0: no. 1 where the last command had run out when the solve ended: limits and ramp count from
      * rest, the solve from previous_rate_rad_s. */
     uint32_t ran_out_in_solve;
-    /* 15596: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
+    /* 15604: Number of the reference lease: counted as leases are acquired. Tracking ends where it changes. */
     uint32_t lease_number;
-    /* 15600: 1: yes, 0: no. 1 where a reset has to accept the pose: a section is measured more than 0.2 rad from
+    /* 15608: 1: yes, 0: no. 1 where a reset has to accept the pose: a section is measured more than 0.2 rad from
      * where the last command left it, or the daemon before this one ended in such a pose. */
     uint32_t pose_differs;
-    /* 15604: 1: yes, 0: no. 1 where the newest measurement was rejected as a jump: a reset is refused then. */
+    /* 15612: 1: yes, 0: no. 1 where the newest measurement was rejected as a jump: a reset is refused then. */
     uint32_t measurement_rejected;
-    /* 15608: 1: yes, 0: no. 1 where the reference at the release is too far from the tip to be tracked. */
+    /* 15616: 1: yes, 0: no. 1 where the reference at the release is too far from the tip to be tracked. */
     uint32_t reference_too_far;
-    /* 15612: CdcrTipCause: why the newest tip_measured_m was not used, also in the cycles until the next one. */
+    /* 15620: CdcrTipCause: why the newest tip_measured_m was not used, also in the cycles until the next one. */
     uint32_t tip_cause;
-    /* 15616: Distance of the measured tip from where the measured bends place it [m], where it is so far that a
+    /* 15624: Distance of the measured tip from where the measured bends place it [m], where it is so far that a
      * reset is refused (the reason TipElsewhere); 0: it is not. */
     double tip_contradiction_m;
 } CdcrTelemetry;
-CDCR_ASSERT_SIZE(CdcrTelemetry, 15624);
+CDCR_ASSERT_SIZE(CdcrTelemetry, 15632);
 
-/* cdcr.Incident.v13, 15664 bytes. */
+/* cdcr.Incident.v14, 15672 bytes. */
 typedef struct CdcrIncident {
     /* 0: The daemon, number of the incident, time of publication. */
     CdcrHeader header;
@@ -1158,6 +1161,6 @@ typedef struct CdcrIncident {
      * telemetry service keeps the cause as first seen. */
     CdcrTelemetry telemetry;
 } CdcrIncident;
-CDCR_ASSERT_SIZE(CdcrIncident, 15664);
+CDCR_ASSERT_SIZE(CdcrIncident, 15672);
 
 #endif

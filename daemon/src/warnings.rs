@@ -111,6 +111,9 @@ fn of_units(config: &Config, all: &mut Vec<String>) {
     let is_short = |ms: f64| ms > 0.0 && ms < 0.5_f64.min(0.1 * config.cycle.period_ms);
     let full_m = config.robot.full_stroke_m();
     let stroke_m = config.robot.cable_stroke_max_m;
+    let overlap_m = config.robot.self_overlap_max_m;
+    let radii_m = config.robot.sections.iter().map(|it| it.body_radius_m);
+    let thinnest_m = 2.0 * radii_m.fold(f64::INFINITY, f64::min);
     let bend_m = config.robot.least_stroke_m();
     // Upper bound: all components at their largest rates, in the direction of one cable.
     let sections = config.robot.sections.iter();
@@ -126,6 +129,9 @@ fn of_units(config: &Config, all: &mut Vec<String>) {
              the unit (m/s)";
         is_short(actuator.delay_ms) => "actuator.delay_ms = {}: check the unit (ms)", actuator.delay_ms;
         is_short(actuator.time_constant_ms) => "actuator.time_constant_ms = {}: check the unit (ms)", actuator.time_constant_ms;
+        thinnest_m > 0.0 && (thinnest_m..1.0).contains(&overlap_m) =>
+            "robot.self_overlap_max_m = {overlap_m}: parts of the body, {thinnest_m} m thick, may pass through each other; lower it, or set it to 1.0 for a \
+             body that is not checked";
         stroke_m > STROKE_M_MAX.max(full_m) =>
             "robot.cable_stroke_max_m = {stroke_m}: at full bend no cable moves by more than {full_m:.3} m; check the unit (m)";
     }

@@ -424,7 +424,7 @@ class Robot:
         """
         For pickle and copy: the arguments that make the same robot.
         """
-    def __new__(cls, /, length_m: ArrayLike | None = None, *, cable_radius_m: ArrayLike | None = None, cable_offset_rad: ArrayLike | None = None, bend_max_rad: ArrayLike | None = None, rate_max_rad_s: ArrayLike | None = None, body_radius_m: ArrayLike | None = None, cable_speed_max_m_s: float = 0.5, cable_stroke_max_m: float = 0.25, tip_speed_max_m_s: float = 0.0) -> Robot:
+    def __new__(cls, /, length_m: ArrayLike | None = None, *, cable_radius_m: ArrayLike | None = None, cable_offset_rad: ArrayLike | None = None, bend_max_rad: ArrayLike | None = None, rate_max_rad_s: ArrayLike | None = None, body_radius_m: ArrayLike | None = None, cable_speed_max_m_s: float = 0.5, cable_stroke_max_m: float = 0.25, tip_speed_max_m_s: float = 0.0, self_overlap_max_m: float = 0.002) -> Robot:
         """
         A robot by its numbers; what is left out is the paper's robot. A single number counts for every section; there are as many
         sections as the longest list has numbers.
@@ -432,7 +432,8 @@ class Robot:
         length_m: backbone of a section, 0.001 to 10 m. cable_radius_m: cables from the backbone, 0.0001 to 1 m. cable_offset_rad: angle of
         the first cable, -2π to 2π rad (40° more from section to section if left out). bend_max_rad: 0.01 to π rad. rate_max_rad_s: of
         each bend component, 0.001 to 100 rad/s. body_radius_m: 0 to 1 m. cable_speed_max_m_s and cable_stroke_max_m: 0.0001 to 100.
-        tip_speed_max_m_s: of the end of each section, 0.001 to 100 m/s; 0: no limit.
+        tip_speed_max_m_s: of the end of each section, 0.001 to 100 m/s; 0: no limit. self_overlap_max_m: overlap of two
+        parts of the body that a command may lead to, 0 to 1 m.
         Raises ArgumentError for a value outside its range and for lists of different lengths.
         """
     def __repr__(self, /) -> str: ...

@@ -214,5 +214,5 @@ def _robot(robot: np.void) -> Robot:
     used = robot["section"][: robot["sections"]]
     names = ("length_m", "cable_radius_m", "cable_offset_rad", "bend_max_rad", "rate_max_rad_s", "body_radius_m")
     numbers = {name: used[name] for name in names}
-    of_all = ("cable_speed_max_m_s", "cable_stroke_max_m", "tip_speed_max_m_s")
+    of_all = ("cable_speed_max_m_s", "cable_stroke_max_m", "tip_speed_max_m_s", "self_overlap_max_m")
     return Robot(**numbers, **{name: float(robot[name]) for name in of_all})

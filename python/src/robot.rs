@@ -56,13 +56,14 @@ impl Robot {
     /// length_m: backbone of a section, 0.001 to 10 m. cable_radius_m: cables from the backbone, 0.0001 to 1 m. cable_offset_rad: angle of
     /// the first cable, -2π to 2π rad (40° more from section to section if left out). bend_max_rad: 0.01 to π rad. rate_max_rad_s: of
     /// each bend component, 0.001 to 100 rad/s. body_radius_m: 0 to 1 m. cable_speed_max_m_s and cable_stroke_max_m: 0.0001 to 100.
-    /// tip_speed_max_m_s: of the end of each section, 0.001 to 100 m/s; 0: no limit.
+    /// tip_speed_max_m_s: of the end of each section, 0.001 to 100 m/s; 0: no limit. self_overlap_max_m: overlap of two
+    /// parts of the body that a command may lead to, 0 to 1 m.
     /// Raises ArgumentError for a value outside its range and for lists of different lengths.
     #[new]
     #[pyo3(signature = (
         length_m = None, *, cable_radius_m = None, cable_offset_rad = None,
         bend_max_rad = None, rate_max_rad_s = None, body_radius_m = None,
-        cable_speed_max_m_s = 0.5, cable_stroke_max_m = 0.25, tip_speed_max_m_s = 0.0,
+        cable_speed_max_m_s = 0.5, cable_stroke_max_m = 0.25, tip_speed_max_m_s = 0.0, self_overlap_max_m = 0.002,
     ))]
     #[allow(clippy::too_many_arguments, reason = "each is a name in Python")]
     fn new(
@@ -75,6 +76,7 @@ impl Robot {
         cable_speed_max_m_s: f64,
         cable_stroke_max_m: f64,
         tip_speed_max_m_s: f64,
+        self_overlap_max_m: f64,
     ) -> PyResult<Self> {
         let is_counted = length_m.is_some();
         let given = [
@@ -100,6 +102,7 @@ impl Robot {
             cable_speed_max_m_s,
             cable_stroke_max_m,
             tip_speed_max_m_s,
+            self_overlap_max_m,
             ..RobotParameters::paper(sections)
         };
         for (name, list, place) in lists {
@@ -314,6 +317,7 @@ impl Robot {
         arguments.set_item("cable_stroke_max_m", self.inner.cable_stroke_max_m())?;
         let tip_speed_max_m_s = self.inner.parameters().tip_speed_max_m_s;
         arguments.set_item("tip_speed_max_m_s", tip_speed_max_m_s)?;
+        arguments.set_item("self_overlap_max_m", self.inner.self_overlap_max_m())?;
         Ok((PyTuple::empty(py), arguments))
     }
 

@@ -191,7 +191,7 @@ def test_a_wrong_kind_is_pythons_own_error() -> None:
 
 
 def test_robots_and_obstacles_are_pickled_and_copied() -> None:
-    robots = [ROBOT, cdcr.Robot([0.1, 0.2], cable_offset_rad=[0.1, 1 / 3], body_radius_m=0.002, cable_stroke_max_m=0.1), cdcr.Robot(0.3, tip_speed_max_m_s=0.1)]
+    robots = [ROBOT, cdcr.Robot([0.1, 0.2], cable_offset_rad=[0.1, 1 / 3], body_radius_m=0.002, cable_stroke_max_m=0.1), cdcr.Robot(0.3, tip_speed_max_m_s=0.1), cdcr.Robot(0.3, self_overlap_max_m=0.01)]
     for robot in robots:
         for other in (pickle.loads(pickle.dumps(robot)), copy.copy(robot), copy.deepcopy(robot)):
             assert other == robot and isinstance(other, cdcr.Robot)

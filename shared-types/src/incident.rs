@@ -7,7 +7,7 @@ message! {
     ///
     /// The daemon keeps the newest [`INCIDENTS_MAX`](crate::limits::INCIDENTS_MAX) of them. A client that opens the
     /// service receives these, oldest first, and then each new one.
-    pub struct Incident "cdcr.Incident.v13" {
+    pub struct Incident "cdcr.Incident.v14" {
         /// The daemon, number of the incident, time of publication.
         header: Header,
         /// Time that the hypervisor kept our core from the machine within `steal_window_ns` before the

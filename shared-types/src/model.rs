@@ -102,6 +102,7 @@ pub fn guard_flags(hit: &safety::LimitsHit, clearance_hit: bool) -> u32 {
         (hit.tip_speed, codes::guard::TIP_SPEED),
         (hit.cable_stroke, codes::guard::CABLE_STROKE),
         (hit.acceleration, codes::guard::ACCELERATION),
+        (hit.self_contact, codes::guard::SELF_CONTACT),
         (hit.non_finite, codes::guard::NON_FINITE),
         (clearance_hit, codes::guard::CLEARANCE),
     ];
@@ -134,6 +135,7 @@ impl From<&Robot> for RobotDescription {
             cable_speed_max_m_s: robot.cable_speed_max_m_s(),
             cable_stroke_max_m: robot.cable_stroke_max_m(),
             tip_speed_max_m_s: robot.tip_speed_max_m_s().unwrap_or(0.0),
+            self_overlap_max_m: robot.self_overlap_max_m(),
             ..Self::default()
         };
         for (target, section) in description.section.iter_mut().zip(robot.sections()) {
@@ -154,6 +156,7 @@ pub fn robot_of(description: &RobotDescription) -> Result<Robot, RobotError> {
         cable_speed_max_m_s: description.cable_speed_max_m_s,
         cable_stroke_max_m: description.cable_stroke_max_m,
         tip_speed_max_m_s: description.tip_speed_max_m_s,
+        self_overlap_max_m: description.self_overlap_max_m,
     })
 }
 

@@ -21,7 +21,7 @@ message! {
     }
 
     /// The robot that the daemon controls.
-    pub struct RobotDescription "cdcr.RobotDescription.v2" {
+    pub struct RobotDescription "cdcr.RobotDescription.v3" {
         /// Sections used, 1 ..= [`SECTIONS_MAX`].
         sections: u32 [length],
         /// Zero.
@@ -34,6 +34,8 @@ message! {
         cable_stroke_max_m: f64,
         /// Largest commanded speed of the end of any section, seen from the base \[m/s\]; 0: no limit.
         tip_speed_max_m_s: f64,
+        /// Overlap of two parts of the body, by their `body_radius_m`, that a command may lead to \[m\].
+        self_overlap_max_m: f64,
         /// The sections, base first.
         section: [SectionDescription; SECTIONS_MAX] [used 1 sections],
     }
@@ -108,7 +110,7 @@ message! {
     }
 
     /// The latest snapshot of the daemon for late joiners, published ten times a second.
-    pub struct Status "cdcr.Status.v17" {
+    pub struct Status "cdcr.Status.v18" {
         /// The daemon, sequence, time.
         header: Header,
         /// Name of the robot, as in the service names.

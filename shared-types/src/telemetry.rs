@@ -122,7 +122,7 @@ message! {
     ///
     /// It holds every input of the cycle except the reference. That is reproduced from the clients' chunks in the order
     /// of the events of the records; see `docs/replay.md`.
-    pub struct Telemetry "cdcr.Telemetry.v14" {
+    pub struct Telemetry "cdcr.Telemetry.v15" {
         /// The daemon, number of the record, time of publication.
         header: Header,
 

@@ -20,6 +20,7 @@
 //! | `tube` | exact distance of one section from a point and from a segment |
 //! | `chord` | cheap lower bound on the distance of one section from a segment |
 //! | `clearance` | clearance of the body from an obstacle, and the nearest point |
+//! | `self_contact` | deepest overlap of two parts of the body |
 //! | `body_motion` | derivative of a point of the body by the bends |
 //! | `many` | tip positions of any number of configurations |
 //! | `wide` | tip positions of W configurations side by side |
@@ -47,6 +48,7 @@ mod orientation;
 mod parameters;
 mod section;
 mod section_ends;
+mod self_contact;
 mod tube;
 mod wide;
 
@@ -64,6 +66,8 @@ pub use orientation::{ZyxAngles, quaternion_xyzw};
 pub use parameters::{Robot, RobotError, RobotParameters, SectionParameters, ranges};
 pub(crate) use section::rotate_wide;
 pub use section::{Arc, Coefficients};
+pub(crate) use self_contact::Pairs;
+pub use self_contact::SelfContact;
 pub(crate) use wide::{TipSeries, tip_position_of, tip_slopes_of};
 
 /// Maximum number of sections: the longest published robot has five. The limit sizes every array of this crate.

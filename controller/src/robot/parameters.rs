@@ -37,6 +37,8 @@ pub mod ranges {
     pub const CABLE_SPEED_MAX_M_S: RangeInclusive<f64> = 1e-4..=100.0;
     /// Largest speed of the end of a section (m/s), where it is limited.
     pub const TIP_SPEED_MAX_M_S: RangeInclusive<f64> = 1e-3..=100.0;
+    /// Overlap of two parts of the body that a command may lead to (m).
+    pub const SELF_OVERLAP_MAX_M: RangeInclusive<f64> = 0.0..=1.0;
 }
 
 crate::parameters! {
@@ -123,6 +125,15 @@ pub struct RobotParameters {
     /// Largest speed of the end of any section, seen from the base (m/s), in [`ranges::TIP_SPEED_MAX_M_S`]; 0: no limit.
     #[serde(default)]
     pub tip_speed_max_m_s: f64,
+    /// Overlap of two parts of the body, by their `body_radius_m`, that a command may lead to (m), in
+    /// [`ranges::SELF_OVERLAP_MAX_M`]. More than the diameter of the body: no limit.
+    #[serde(default = "usual_overlap_m")]
+    pub self_overlap_max_m: f64,
+}
+
+/// Overlap of two parts of the body that is no contact (m), unless a robot says otherwise.
+const fn usual_overlap_m() -> f64 {
+    0.002
 }
 
 impl RobotParameters {
@@ -143,13 +154,14 @@ impl RobotParameters {
             cable_speed_max_m_s: 0.5,
             cable_stroke_max_m: 0.25,
             tip_speed_max_m_s: 0.0,
+            self_overlap_max_m: usual_overlap_m(),
         }
     }
 }
 
 impl RobotParameters {
     /// Every parameter of the whole robot with its key and its allowed range, in the order in which the fingerprint
-    /// hashes them. A speed of the tip that has no limit is left out.
+    /// hashes them. A speed of the tip that has no limit, and the usual overlap, are left out.
     fn checked(&self) -> impl Iterator<Item = (&'static str, f64, RangeInclusive<f64>)> {
         let tip_speed = (
             "tip_speed_max_m_s",
@@ -157,6 +169,12 @@ impl RobotParameters {
             ranges::TIP_SPEED_MAX_M_S,
         );
         let tip_speed = (self.tip_speed_max_m_s != 0.0).then_some(tip_speed);
+        let overlap = (
+            "self_overlap_max_m",
+            self.self_overlap_max_m,
+            ranges::SELF_OVERLAP_MAX_M,
+        );
+        let overlap = (self.self_overlap_max_m != usual_overlap_m()).then_some(overlap);
         let always = [
             (
                 "cable_speed_max_m_s",
@@ -169,7 +187,7 @@ impl RobotParameters {
                 ranges::CABLE_STROKE_MAX_M,
             ),
         ];
-        always.into_iter().chain(tip_speed)
+        always.into_iter().chain(tip_speed).chain(overlap)
     }
 }
 
@@ -226,7 +244,7 @@ pub enum RobotError {
     },
 }
 
-/// A robot whose parameters are all valid. 616 bytes in fixed arrays, no heap: cheap to clone.
+/// A robot whose parameters are all valid. 624 bytes in fixed arrays, no heap: cheap to clone.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Robot {
     /// The first `section_count` are used; the rest repeat the last.
@@ -236,6 +254,7 @@ pub struct Robot {
     cable_stroke_max_m: f64,
     /// Infinite: no limit.
     tip_speed_max_m_s: f64,
+    self_overlap_max_m: f64,
     /// (cos β, sin β) of each cable of each section, computed once, not in every cycle.
     cable_directions: [[[f64; 2]; 3]; SECTIONS_MAX],
     fingerprint: u64,
@@ -280,6 +299,7 @@ impl Robot {
                 0.0 => f64::INFINITY,
                 limit_m_s => limit_m_s,
             },
+            self_overlap_max_m: parameters.self_overlap_max_m,
             cable_directions: sections.map(|section| cable_directions(section.cable_offset_rad)),
             fingerprint: fingerprint(parameters),
         })
@@ -331,6 +351,11 @@ impl Robot {
         Some(self.tip_speed_max_m_s).filter(|limit_m_s| limit_m_s.is_finite())
     }
 
+    /// Overlap of two parts of the body that a command may lead to (m), in [`ranges::SELF_OVERLAP_MAX_M`].
+    pub fn self_overlap_max_m(&self) -> f64 {
+        self.self_overlap_max_m
+    }
+
     /// The parameters of this robot.
     pub fn parameters(&self) -> RobotParameters {
         RobotParameters {
@@ -338,6 +363,7 @@ impl Robot {
             cable_speed_max_m_s: self.cable_speed_max_m_s,
             cable_stroke_max_m: self.cable_stroke_max_m,
             tip_speed_max_m_s: self.tip_speed_max_m_s().unwrap_or(0.0),
+            self_overlap_max_m: self.self_overlap_max_m,
         }
     }
 
@@ -346,8 +372,8 @@ impl Robot {
     ///
     /// 64-bit FNV-1a over little-endian bytes: the section count (as u64), then the bits of each section's `length_m`,
     /// `cable_radius_m`, `cable_offset_rad`, `bend_max_rad`, `rate_max_rad_s`, `body_radius_m`, base first, then
-    /// `cable_speed_max_m_s` and `cable_stroke_max_m`, and `tip_speed_max_m_s` if it is a limit. The same on every
-    /// platform. It depends on bits: 0.0 and -0.0 differ.
+    /// `cable_speed_max_m_s` and `cable_stroke_max_m`, `tip_speed_max_m_s` if it is a limit, and the negative of
+    /// `self_overlap_max_m` unless it is 0.002: it is no speed. The same on every platform. It depends on bits: 0.0 and -0.0 differ.
     pub fn fingerprint(&self) -> u64 {
         self.fingerprint
     }
@@ -373,11 +399,17 @@ fn fingerprint(parameters: &RobotParameters) -> u64 {
         .sections
         .iter()
         .flat_map(SectionParameters::checked);
-    of_sections
-        .chain(parameters.checked())
-        .fold(fnv_1a(FNV_OFFSET_BASIS, count), |hash, (_, value, _)| {
-            fnv_1a(hash, value.to_bits())
-        })
+    of_sections.chain(parameters.checked()).fold(
+        fnv_1a(FNV_OFFSET_BASIS, count),
+        |hash, (key, value, _)| {
+            let sign = if key == "self_overlap_max_m" {
+                -1.0
+            } else {
+                1.0
+            };
+            fnv_1a(hash, (sign * value).to_bits())
+        },
+    )
 }
 
 /// Start value of 64-bit FNV-1a (draft-eastlake-fnv).

@@ -4,6 +4,7 @@ use crate::robot::BendRates;
 
 use super::lag::LagLines;
 use super::play;
+use super::self_contact;
 use super::situation::{SafeCommand, Situation};
 use super::stopping::fastest;
 
@@ -24,6 +25,11 @@ use super::stopping::fastest;
 /// lines, each at its time, a section keeps 0.75 mm less than D, or than its clearance where the commands so far lead, or
 /// what it keeps on the line to rest; otherwise the command is corrected, or else scaled down.
 ///
+/// Last, the rates are scaled down, or are rest, where two parts of the body would overlap by more than
+/// [`Robot::self_overlap_max_m`](crate::robot::Robot::self_overlap_max_m) and more than now, as seen from
+/// the measured or the commanded configuration: at the ends of the period and of the stopping path, and at up to four points on the
+/// way there. It is the body of the model, without the uncertainty of the tip.
+///
 /// A robot that comes to rest continues along the stopping path of the previous command, through its play,
 /// too: its ramp is only scaled down. Allocates nothing.
 pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
@@ -33,6 +39,7 @@ pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeComma
         tip_offset_m,
         ..
     } = *situation;
+    let model = situation;
     let situation = &Situation {
         robot: &robot.enlarged(at, tip_offset_m),
         ..*situation
@@ -49,17 +56,24 @@ pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeComma
     let safe = lag
         .as_ref()
         .map_or(safe, |lag| lag.kept(safe, fastest_rad_s));
-    let Some(slack) = situation.play() else {
-        return safe;
-    };
-    let kept = play::kept(situation, slack, safe);
-    match lag {
-        Some(lag) if kept.rates != safe.rates && !lag.holds(&kept.rates) => SafeCommand {
+    let lags_well = |rates: &BendRates| lag.as_ref().is_none_or(|lag| lag.holds(rates));
+    let slack = situation.play();
+    let kept = slack.map_or(safe, |slack| play::kept(situation, slack, safe));
+    let safe = if kept.rates != safe.rates && !lags_well(&kept.rates) {
+        SafeCommand {
             rates: BendRates::zero(situation.robot.section_count()),
             ..kept
-        },
-        _ => kept,
-    }
+        }
+    } else {
+        kept
+    };
+    self_contact::kept(model, safe, |rates| {
+        let limited = situation.limits(fastest(rates)).shorten(rates);
+        let guarded = situation.guard().shorten(&limited.rates).rates;
+        let holds = lags_well(&guarded)
+            && slack.is_none_or(|slack| play::holds(situation, slack, &guarded));
+        holds.then_some(guarded)
+    })
 }
 
 #[cfg(test)]
@@ -94,7 +108,7 @@ mod tests {
     proptest! {
         /// Wherever robot, commanded position and obstacle are, whatever play the cables have and however far the tip is beside: in rest
         /// no component is larger than the ramp's, and zero stays zero; in motion the acceleration holds; the commanded position
-        /// never goes farther out; no section end is too fast. In every mode zero is zero.
+        /// never goes farther out; no section end is too fast; the body overlaps itself no more than allowed or before. In every mode zero is zero.
         #[test]
         fn every_rule_holds_after_all_of_them(
             at in prop::array::uniform4(-2.5..2.5_f64),
@@ -165,6 +179,17 @@ mod tests {
             // Ramps with play are tested in `play`.
             let is_checked = !comes_to_rest || play_m == 0.0;
             prop_assert!(!is_checked || after(&safe.rates).clearance_m(&obstacle) >= floor_m);
+            if !comes_to_rest {
+                let stopped_s = situation.stopping().path(fastest(&safe.rates)).path_s;
+                for from in [&at, &commanded] {
+                    let most_m = robot.self_contact(from, robot.self_overlap_max_m());
+                    let most_m = most_m.map_or(robot.self_overlap_max_m(), |it| it.overlap_m);
+                    for path_s in [PERIOD_S, stopped_s] {
+                        let there = from.advanced(&safe.rates, path_s);
+                        prop_assert_eq!(robot.self_contact(&there, most_m), None);
+                    }
+                }
+            }
             // Zero rates stay zero in every mode, in motion and at rest.
             for previous in [&previous, &BendRates::zero(2)] {
                 for comes_to_rest in [false, true] {

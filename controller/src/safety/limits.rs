@@ -32,6 +32,8 @@ pub struct LimitsHit {
     pub cable_stroke: bool,
     /// A rate would have grown faster than the largest acceleration.
     pub acceleration: bool,
+    /// Two parts of the body would have touched.
+    pub self_contact: bool,
     /// Desired rates or state were not finite, or had another number of sections than the robot; the rates
     /// became zero.
     pub non_finite: bool,
@@ -50,6 +52,7 @@ impl LimitsHit {
             tip_speed: self.tip_speed || other.tip_speed,
             cable_stroke: self.cable_stroke || other.cable_stroke,
             acceleration: self.acceleration || other.acceleration,
+            self_contact: self.self_contact || other.self_contact,
             non_finite: self.non_finite || other.non_finite,
         }
     }

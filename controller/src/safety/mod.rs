@@ -3,8 +3,8 @@
 //!
 //! Invariant: nothing here optimises, predicts beyond the motion of one command and its ramp to rest, or
 //! knows a clock or a message. Inputs are the state, the obstacles, the desired rates and the events of a
-//! cycle; outputs are a mode and a command inside every limit that moves the body no closer to an obstacle
-//! than allowed.
+//! cycle; outputs are a mode and a command inside every limit that moves the body no closer to an obstacle,
+//! and no deeper into itself, than allowed.
 
 mod bend_limit;
 mod bucket;
@@ -20,6 +20,7 @@ mod plausibility;
 mod play;
 mod projection;
 mod ramp;
+mod self_contact;
 mod situation;
 mod stopping;
 

@@ -20,6 +20,13 @@ pub(super) fn kept(situation: &Situation<'_>, slack: &Slack, safe: SafeCommand) 
     })
 }
 
+/// Whether `rates` satisfy the rule of the guard while cables move through their play, too.
+pub(super) fn holds(situation: &Situation<'_>, slack: &Slack, rates: &BendRates) -> bool {
+    fastest(rates) == 0.0
+        || situation.obstacles.is_empty()
+        || (situation.guard()).through_play(slack, rates, |holds| holds(rates))
+}
+
 /// The sections of a command that satisfy the rule individually.
 fn repaired(
     situation: &Situation<'_>,

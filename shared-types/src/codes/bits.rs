@@ -58,6 +58,8 @@ wire_bits! {
         ACCELERATION = 6: "acceleration";
         /// All rates were scaled down to the speed limit of the section ends.
         TIP_SPEED = 7: "tip speed";
+        /// All rates were scaled down, or are rest, because two parts of the body would have touched.
+        SELF_CONTACT = 8: "self-contact";
     }
 
     /// Bits of [`Status::realtime_missing`](crate::Status::realtime_missing).

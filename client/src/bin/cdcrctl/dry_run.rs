@@ -5,7 +5,8 @@
 //! moves directly to the first point, then along the points as they would be sent; each part has its own
 //! maxima. A robot with a limit of its acceleration first joins their motion, as with the daemon; errors count
 //! from then on. The guard has the daemon's stopping path, and keeps the margin of the present tip offset. A real
-//! robot has motors, play and noise: near obstacles it may achieve less.
+//! robot has motors, play and noise: near obstacles it may achieve less. The body may touch itself in the simulation,
+//! so that a path that the daemon would not complete is refused with its cause.
 
 mod held_back;
 mod joining;
@@ -34,7 +35,7 @@ use crate::bend_limit::{BendShare, WAY_OUT};
 use crate::interrupt::Interrupt;
 use held_back::HeldBack;
 use joining::joining;
-use self_contact::SelfContact;
+use self_contact::{SelfContact, permitted_m, without_limit};
 use sent::{PositionsOf, check_duration, points};
 use slowed::Slowed;
 pub(crate) use too_fast::check_speed;
@@ -49,10 +50,6 @@ const STALL_CYCLES: u32 = 100;
 const NEAR_M: f64 = 5e-3;
 /// Maximum number of cycles of a simulated reference.
 const CYCLES_MAX: u64 = 200_000;
-
-/// The body is looked at for self-contact in shapes that differ by this: a part of a robot of 1 m moves by at most 20 mm between
-/// them, so that a contact that lasts for less may be missed \[rad\].
-const SAME_SHAPE_RAD: f64 = 0.02;
 
 /// From a first point nearer than this, the approach is the reference itself \[m\].
 const JOINED_M: f64 = 1e-3;
@@ -86,10 +83,10 @@ pub(crate) struct Demands {
     safe_distance_m: f64,
     has_orientation: bool,
     unrepeated: Option<Unrepeated>,
-    /// At the start, and the deepest along the reference.
-    self_contact: [Option<SelfContact>; 2],
-    /// The shape that was looked at for it last.
-    looked_at: Option<Configuration>,
+    /// The deepest along the reference, of those that the daemon would not permit.
+    self_contact: Option<SelfContact>,
+    /// Overlap of the body that the daemon would permit \[m\].
+    overlap_max_m: f64,
     /// The reference does not begin where the tip is, and nothing brings the tip there before: `--track` would join it.
     pub(crate) may_join: bool,
 }
@@ -161,6 +158,8 @@ pub(crate) fn simulate(
     options: &FeedOptions,
 ) -> anyhow::Result<Demands> {
     let (robot, here) = robot_and_pose(record)?;
+    let overlap_max_m = permitted_m(&robot, &here);
+    let robot = without_limit(&robot)?;
     let period_s = record.period_ns as f64 * 1e-9;
     let cycles = (trajectory.duration_s() / period_s).ceil();
     check_duration(trajectory, longest_s(record))?;
@@ -177,7 +176,7 @@ pub(crate) fn simulate(
         .with_stopping(valid_periods, record.deceleration_rad_s2)
         .with_tip_offset(record.tip_margin_m);
     let mut demands = Demands::new(&robot, &settings, way.error_m());
-    demands.self_contact[0] = SelfContact::find(&robot, &here, 0.0);
+    demands.overlap_max_m = overlap_max_m;
     demands.has_orientation = matches!(
         trajectory.orientation(0.0),
         Orientation::Axis(_) | Orientation::Full(_)
@@ -297,24 +296,25 @@ impl Demands {
             safe_distance_m: settings.safe_distance_m,
             has_orientation: false,
             unrepeated: None,
-            self_contact: [None; 2],
-            looked_at: None,
+            self_contact: None,
+            overlap_max_m: 0.0,
             may_join: false,
         }
     }
 
-    /// Notes a body that touches itself, in each shape that differs from the last one that was looked at.
+    /// Notes a body that touches itself.
     fn note_self_contact<R: Fn(f64) -> reference::ReferenceSample>(
         &mut self,
         closed: &ClosedLoop<R>,
     ) {
-        let shape = closed.configuration();
-        let is_like = |seen: &Configuration| seen.distance_rad(shape) < SAME_SHAPE_RAD;
-        if !self.looked_at.as_ref().is_some_and(is_like) {
-            self.looked_at = Some(*shape);
-            let contact = SelfContact::find(closed.robot(), shape, closed.time_s());
-            self.self_contact[1] = SelfContact::deeper(self.self_contact[1], contact);
-        }
+        let deepest_m = (self.self_contact).map_or(self.overlap_max_m, |it| it.overlap_m());
+        let contact = SelfContact::find(
+            closed.robot(),
+            closed.configuration(),
+            deepest_m,
+            closed.time_s(),
+        );
+        self.self_contact = contact.or(self.self_contact);
     }
 
     fn note_error(&mut self, time_s: f64, point_m: [f64; 3], error_m: f64, clearance_m: f64) {
@@ -340,10 +340,9 @@ impl Demands {
         (self.along.bend_rad, self.along.rate_rad_s)
     }
 
-    /// Fails when the body would touch itself along the reference, deeper than now.
+    /// Fails when the body would touch itself along the reference, deeper than the daemon permits.
     pub(crate) fn check_self_contact(&self) -> anyhow::Result<()> {
-        let [start, along] = self.self_contact;
-        match along.filter(|contact| contact.is_deeper_than(start)) {
+        match self.self_contact {
             Some(contact) => bail!(
                 "{contact}: use another point or path, or begin in another shape (cdcrctl home); nothing moved"
             ),

@@ -29,6 +29,8 @@ pub(crate) struct TipError {
     cycles: u64,
     /// Cycles in which limits or guard changed the command.
     limited_cycles: u64,
+    /// Cycles, also of the approach, in which the body would have touched itself.
+    self_contact_cycles: u64,
     /// Cycles in which no fresh measured tip was in use: their error is by the model.
     unused_cycles: u64,
     sum_m: f64,
@@ -105,6 +107,7 @@ impl TipError {
             self.measured.is_left = true;
             return;
         }
+        self.self_contact_cycles += u64::from(record.guard_flags & guard::SELF_CONTACT != 0);
         if is_approach(record) {
             self.approach_cycles += 1;
             self.approach_max_m = self.approach_max_m.max(record.position_error_m);
@@ -221,6 +224,13 @@ impl TipError {
                 "tip error{by}: mean {mean:.3}, max {max:.3}, final {last:.3} mm in {} cycles, of which limits or guard changed {:.1} %",
                 self.cycles,
                 100.0 * self.limited_cycles as f64 / self.cycles as f64
+            )?;
+        }
+        if self.self_contact_cycles > 0 {
+            writeln!(
+                std::io::stdout(),
+                "held back in {} cycles: two parts of the body would have overlapped by more than robot.self_overlap_max_m; use another path",
+                self.self_contact_cycles
             )?;
         }
         if let Some(([mean_m, max_m], count)) = self.measured_mean_max_m() {

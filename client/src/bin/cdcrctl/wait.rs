@@ -172,8 +172,14 @@ fn progress(kind: RequestKind, record: &Telemetry) -> Progress {
     }
 }
 
-/// Names the obstacle at which the clearance guard changed the command of a record.
+/// Names the obstacle, or the body itself, before which the safety step held back the command of a record.
 fn obstruction(record: &Telemetry) -> String {
+    if record.guard_flags & guard::SELF_CONTACT != 0 {
+        return format!(
+            ": two parts of the body would overlap by more than {} mm, or than now (robot.self_overlap_max_m); move it another way first (cdcrctl goto, jog)",
+            1e3 * record.robot.self_overlap_max_m
+        );
+    }
     if record.guard_flags & guard::CLEARANCE == 0 {
         return String::new();
     }
@@ -259,6 +265,13 @@ mod tests {
         let text = obstruction(&record);
         assert!(text.contains("in the way, 30.10 mm"), "{text}");
         assert!(text.contains("keeps 30.00 mm"), "{text}");
+        record.guard_flags = guard::SELF_CONTACT;
+        record.robot.self_overlap_max_m = 0.002;
+        let text = obstruction(&record);
+        assert!(
+            text.contains("two parts of the body would overlap by more than 2 mm"),
+            "{text}"
+        );
     }
 
     #[test]

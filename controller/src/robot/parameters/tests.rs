@@ -141,7 +141,8 @@ fn without_a_limit_of_the_tip_speed_nothing_is_another() {
     assert_eq!(without.fingerprint(), 0x35a2_f12a_651c_d4cd);
     assert_eq!(without.parameters(), parameters);
     let text = serde_json::to_string(&parameters).unwrap();
-    let older = text.replace(",\"tip_speed_max_m_s\":0.0", "");
+    let newer = ",\"tip_speed_max_m_s\":0.0,\"self_overlap_max_m\":0.002";
+    let older = text.replace(newer, "");
     assert!(older.len() < text.len());
     assert_eq!(
         serde_json::from_str::<RobotParameters>(&older).unwrap(),
@@ -198,9 +199,13 @@ fn fingerprint_is_fnv_1a_and_depends_on_every_bit_of_every_parameter() {
     let mut changed = paper.clone();
     changed.cable_speed_max_m_s = changed.cable_speed_max_m_s.next_up();
     seen.push(of(&changed));
-    for tip_speed_max_m_s in [0.1, 0.1_f64.next_up()] {
+    for value in [0.1, 0.1_f64.next_up()] {
         seen.push(of(&RobotParameters {
-            tip_speed_max_m_s,
+            tip_speed_max_m_s: value,
+            ..paper.clone()
+        }));
+        seen.push(of(&RobotParameters {
+            self_overlap_max_m: value,
             ..paper.clone()
         }));
     }

@@ -1,6 +1,7 @@
 //! Contact by the measured bends, which an estimate with a lag that is not configured hides.
 
 mod lost_commands;
+mod self_contact;
 
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::plant::Flaws;

@@ -1,14 +1,16 @@
 //! Motions requested by a person: to a point, by a distance, along a reference, and all of it as a dry run.
 
+use std::ops::ControlFlow;
 use std::time::Duration;
 
+use cdcr_client::Line;
 use cdcr_client::model::robot_of;
 use cdcr_controller::robot::{BendRates, Configuration};
-use cdcr_shared_types::codes::{Mode, Reason};
+use cdcr_shared_types::codes::{Mode, Reason, guard};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{
-    Daemon, STALL_TOLERANT, assert_output, text, until_undisturbed, wait_mode, wait_record,
-    wait_until,
+    Daemon, STALL_TOLERANT, assert_output, text, tracked, until_undisturbed, wait_mode,
+    wait_record, wait_until,
 };
 use rustix::process::Signal;
 
@@ -454,7 +456,8 @@ fn a_speed_above_the_limit_of_the_tip_is_refused_with_the_limit_and_home_keeps_i
     });
 }
 
-/// The point is the base of the robot: its tip would end inside its first section.
+/// The point is the base of the robot: its tip would end inside its first section. A program that sends such a reference as it is, without
+/// computing the path, moves the body no deeper into itself than it may be.
 #[test]
 fn a_path_on_which_the_body_would_touch_itself_is_refused() {
     let daemon = Daemon::ideal(STALL_TOLERANT);
@@ -466,4 +469,25 @@ fn a_path_on_which_the_body_would_touch_itself_is_refused() {
         assert!(printed.contains("would touch"), "{printed}");
         assert!(printed.contains("nothing moved"), "{printed}");
     }
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    let line = Line {
+        start_m: [0.3, 0.0, 0.3],
+        velocity_m_s: [-0.06, 0.0, -0.056],
+        duration_s: 5.0,
+        tip_axis: None,
+    };
+    let (mut deepest_m, mut guarded) = (0.0_f64, 0);
+    let client = daemon.connect();
+    let fed = client.feed(&line, tracked()).unwrap().run(|_| {
+        while let Some(record) = telemetry.try_next().unwrap() {
+            let robot = robot_of(&record.robot).unwrap();
+            let at = Configuration::from_slice(&record.bend_rad[..6]).unwrap();
+            let contact = robot.self_contact(&at, 0.0);
+            deepest_m = contact.map_or(deepest_m, |contact| deepest_m.max(contact.overlap_m));
+            guarded += u32::from(record.guard_flags & guard::SELF_CONTACT != 0);
+        }
+        ControlFlow::Continue(())
+    });
+    println!("{deepest_m} m deep, {guarded} cycles, {:?}", fed.is_ok());
+    assert!(guarded > 0 && deepest_m <= 0.002 + 1e-9);
 }

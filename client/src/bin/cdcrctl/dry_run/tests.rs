@@ -13,6 +13,7 @@ pub(crate) fn robot(sections: u32) -> RobotDescription {
         sections,
         cable_speed_max_m_s: 1.0,
         cable_stroke_max_m: 0.2,
+        self_overlap_max_m: 0.002,
         ..RobotDescription::default()
     };
     for section in &mut robot.section[..sections as usize] {

@@ -31,14 +31,14 @@ fn only_cycles_that_track_the_reference_count() {
         (Mode::Tracking, Inside, 120, 0.001),
     ] {
         let mut record = record(mode, state, release_ns, error_m);
-        record.guard_flags = u32::from(release_ns <= 100);
+        record.guard_flags = guard::SELF_CONTACT * u32::from(release_ns <= 100);
         error.take(&record);
     }
     assert_eq!(
         (error.cycles, error.max_m, error.final_m),
         (3, 0.003, 0.001)
     );
-    assert_eq!(error.limited_cycles, 1);
+    assert_eq!((error.limited_cycles, error.self_contact_cycles), (1, 3));
     assert!((error.sum_m - 0.006).abs() < 1e-15);
 }
 
