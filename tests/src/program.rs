@@ -6,15 +6,12 @@ use std::os::unix::fs::FileExt as _;
 use std::process::{Child, Command, ExitStatus, Output};
 use std::time::Duration;
 
+use cdcr_process::{has_ended, reap};
 use derive_more::{Deref, DerefMut};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
-use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, waitid};
+use rustix::process::{Pid, Signal, WaitIdOptions, kill_process};
 
 use crate::wait_for;
-
-/// Time for the threads of a process that has ended to leave the kernel. Linux 6.18 waits for them in a busy loop of whoever reaps the
-/// process, and without forced pre-emption that loop keeps every other ordinary thread off its core, them too: for tens of seconds.
-const THREADS_END: Duration = Duration::from_millis(5);
 
 /// A process of the test. Dropping it kills and reaps it, because a zombie is not dead for iceoryx2.
 #[derive(Debug)]
@@ -53,27 +50,17 @@ impl Running {
 
     /// The status of a process that has ended.
     fn try_wait(&mut self) -> Option<ExitStatus> {
-        self.has_ended(WaitIdOptions::NOHANG).then(|| self.reap())
-    }
-
-    fn has_ended(&self, options: WaitIdOptions) -> bool {
-        let options = options | WaitIdOptions::EXITED | WaitIdOptions::NOWAIT;
-        let ended = waitid(WaitId::Pid(Pid::from_child(&self.0)), options);
-        // Of a process that was reaped before, its status is known.
-        ended.map_or(true, |status| status.is_some())
-    }
-
-    fn reap(&mut self) -> ExitStatus {
-        std::thread::sleep(THREADS_END);
-        self.0.wait().expect("it is our child")
+        // Of a process that was reaped before, the status is known.
+        let has_ended = has_ended(&self.0, WaitIdOptions::NOHANG).unwrap_or(true);
+        has_ended.then(|| reap(&mut self.0).expect("it is our child"))
     }
 }
 
 impl Drop for Running {
     fn drop(&mut self) {
         let _ = self.0.kill();
-        self.has_ended(WaitIdOptions::empty());
-        self.reap();
+        let _ = has_ended(&self.0, WaitIdOptions::empty());
+        let _ = reap(&mut self.0);
     }
 }
 

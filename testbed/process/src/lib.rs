@@ -14,7 +14,7 @@ mod folder;
 mod place;
 
 use std::fs::{self, File};
-use std::io::Write as _;
+use std::io::{self, Write as _};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -33,6 +33,8 @@ pub use place::{PREFIX, PrivatePlace, ROOT, cdcrd_in, in_public_memory};
 
 /// Interval between checks whether a program has ended.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Time for the threads of a process that has ended to leave the kernel.
+const THREADS_END: Duration = Duration::from_millis(5);
 /// Time limit for a program to end after SIGTERM.
 const END_TIMEOUT: Duration = Duration::from_secs(5);
 
@@ -129,7 +131,8 @@ impl Process {
         // The process has not been waited for, so the id is still its own.
         let _ = kill_process_group(process, Signal::KILL);
         self.child.kill()?;
-        self.ended = Some(self.child.wait()?);
+        has_ended(&self.child, WaitIdOptions::empty())?;
+        self.ended = Some(reap(&mut self.child)?);
         let seconds = END_TIMEOUT.as_secs();
         let (name, words) = (self.name, self.output_tail());
         bail!("{name} did not end within {seconds} s of SIGTERM and was killed{words}")
@@ -159,14 +162,10 @@ impl Process {
 
     /// Exit status, if the program has ended. Kills the rest of its process group first.
     fn poll(&mut self) -> Result<Option<ExitStatus>> {
-        if self.ended.is_none() {
-            let process = Pid::from_child(&self.child);
-            let peek = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
-            if waitid(WaitId::Pid(process), peek)?.is_some() {
-                // The process has not been waited for, so the id is still its own.
-                let _ = kill_process_group(process, Signal::KILL);
-                self.ended = self.child.try_wait()?;
-            }
+        if self.ended.is_none() && has_ended(&self.child, WaitIdOptions::NOHANG)? {
+            // The process has not been waited for, so the id is still its own.
+            let _ = kill_process_group(Pid::from_child(&self.child), Signal::KILL);
+            self.ended = Some(reap(&mut self.child)?);
         }
         Ok(self.ended)
     }
@@ -192,9 +191,30 @@ impl Drop for Process {
     fn drop(&mut self) {
         if let Err(error) = self.end() {
             // `eprintln!` would panic when standard error is closed.
-            let _ = writeln!(std::io::stderr(), "warning: {error:#}");
+            let _ = writeln!(io::stderr(), "warning: {error:#}");
         }
     }
+}
+
+/// Whether a child has ended; with [`WaitIdOptions::empty`], after its end. It stays a zombie.
+///
+/// # Errors
+/// Those of the system, of a child that was reaped.
+pub fn has_ended(child: &Child, options: WaitIdOptions) -> io::Result<bool> {
+    let options = options | WaitIdOptions::EXITED | WaitIdOptions::NOWAIT;
+    Ok(waitid(WaitId::Pid(Pid::from_child(child)), options)?.is_some())
+}
+
+/// Reaps a child that [has ended](has_ended), a moment later.
+///
+/// Whoever reaps a process while its last threads leave the kernel waits for them in a busy loop, on Linux 6.18. Without forced pre-emption
+/// that loop was seen to keep all ordinary threads off its core, those threads too, for up to two minutes.
+///
+/// # Errors
+/// Those of the system.
+pub fn reap(child: &mut Child) -> io::Result<ExitStatus> {
+    thread::sleep(THREADS_END);
+    child.wait()
 }
 
 /// Names of the output files.

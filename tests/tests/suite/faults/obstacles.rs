@@ -88,8 +88,8 @@ fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() 
         0,
         "in the first cycle that knows it"
     );
-    let detected_ns = first.release_ns.saturating_sub(answer.judged_ns);
-    let bound_ns = 2 * first.period_ns + trail.history().late_since_ns(answer.judged_ns);
+    let detected_ns = first.release_ns.saturating_sub(answer.evaluated_ns);
+    let bound_ns = 2 * first.period_ns + trail.history().late_since_ns(answer.evaluated_ns);
     say("obstacle inside the safe distance", detected_ns, bound_ns);
     assert!(detected_ns <= bound_ns);
     for _ in 0..100 {
@@ -119,8 +119,8 @@ fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
         (now.mode, now.reason),
         (Mode::Faulted.code(), Reason::ClearanceBroken.code())
     );
-    let detected_ns = now.release_ns.saturating_sub(answer.judged_ns);
-    let bound_ns = 3 * now.period_ns + trail.history().late_since_ns(answer.judged_ns);
+    let detected_ns = now.release_ns.saturating_sub(answer.evaluated_ns);
+    let bound_ns = 3 * now.period_ns + trail.history().late_since_ns(answer.evaluated_ns);
     say("contact", detected_ns, bound_ns);
     assert!(detected_ns <= bound_ns);
     let outcome = refused(&connection, RequestKind::Reset);
@@ -154,8 +154,8 @@ fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
         (answer.outcome, answer.detail),
         (Outcome::BufferFull.code(), 1)
     );
-    let detected_ns = record.release_ns.saturating_sub(answer.judged_ns);
-    let bound_ns = 2 * record.period_ns + trail.history().late_since_ns(answer.judged_ns);
+    let detected_ns = record.release_ns.saturating_sub(answer.evaluated_ns);
+    let bound_ns = 2 * record.period_ns + trail.history().late_since_ns(answer.evaluated_ns);
     say("too many obstacles", detected_ns, bound_ns);
     assert!(detected_ns <= bound_ns);
     assert_eq!(record.obstacle_count, 64);
@@ -247,9 +247,10 @@ fn lose_source(rule: &str) {
     } else {
         let held = held.unwrap();
         assert_eq!(held.reason, Reason::ObstacleSourceSilent.code());
-        let detected_ns = held.release_ns.saturating_sub(answer.judged_ns);
+        let detected_ns = held.release_ns.saturating_sub(answer.evaluated_ns);
         let history = trail.history();
-        let bound_ns = 200_000_000 + 2 * held.period_ns + history.late_since_ns(answer.judged_ns);
+        let bound_ns =
+            200_000_000 + 2 * held.period_ns + history.late_since_ns(answer.evaluated_ns);
         say("source of obstacles silent", detected_ns, bound_ns);
         assert!((200_000_000..=bound_ns).contains(&detected_ns));
         // Still silent.

@@ -112,7 +112,10 @@ fn a_reference_that_ends_is_held_at_the_next_release() {
 /// The event of a chunk in its record.
 fn outcome_of(record: &Telemetry, header: &Header) -> Option<(Outcome, u64)> {
     let event = event_about(record, EventKind::Reference, header)?;
-    Some((Outcome::try_from(event.outcome).unwrap(), event.judged_ns))
+    Some((
+        Outcome::try_from(event.outcome).unwrap(),
+        event.evaluated_ns,
+    ))
 }
 
 #[test]
@@ -174,7 +177,7 @@ fn refuse_late_points(connection: &Connection, trail: &mut Trail, refused: &mut 
 /// The newest renewal of the lease, according to the records.
 #[derive(Default)]
 struct Renewal {
-    judged_ns: u64,
+    evaluated_ns: u64,
     gather: u64,
     gather_ns: u64,
 }
@@ -186,11 +189,11 @@ impl Renewal {
                 || event.kind == EventKind::Request.code()
                     && event.detail == RequestKind::AcquireLease.code();
             if renews && event.outcome == Outcome::Accepted.code() {
-                self.judged_ns = self.judged_ns.max(event.judged_ns);
+                self.evaluated_ns = self.evaluated_ns.max(event.evaluated_ns);
                 self.gather = self
                     .gather
                     .max(record.gather - u64::from(event.gathers_ago));
-                self.gather_ns = self.judged_ns;
+                self.gather_ns = self.evaluated_ns;
             }
         }
         // A request that was taken shortly before the release was checked later than its gather began.
@@ -203,7 +206,7 @@ impl Renewal {
     /// messages does not count.
     fn expires_ns(&self, history: &History, gather: u64) -> RangeInclusive<u64> {
         let unheard_ns = history.unheard_ns(self.gather, self.gather_ns, gather);
-        let ends_ns = |unheard_ns| self.judged_ns + LEASE_MS * 1_000_000 + unheard_ns;
+        let ends_ns = |unheard_ns| self.evaluated_ns + LEASE_MS * 1_000_000 + unheard_ns;
         ends_ns(unheard_ns.start())..=ends_ns(unheard_ns.end())
     }
 }
@@ -237,8 +240,8 @@ fn expires(trail: &mut Trail, renewal: &mut Renewal, what: &str) -> Option<()> {
     let bound_ns = now.release_ns - before.gather_ns;
     say(
         what,
-        now.release_ns - renewal.judged_ns,
-        ended_ns.1.end() - renewal.judged_ns + bound_ns,
+        now.release_ns - renewal.evaluated_ns,
+        ended_ns.1.end() - renewal.evaluated_ns + bound_ns,
     );
     assert_ramps_to_rest(trail, &now, || {});
     Some(())

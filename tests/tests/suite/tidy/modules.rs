@@ -126,6 +126,20 @@ pub(super) fn imports(code: &str, module: &[String]) -> BTreeSet<Names> {
     found.into_iter().map(|(path, _)| path).collect()
 }
 
+/// The paths below another crate that code names, without the crate.
+pub(super) fn named_below(code: &str, root: &str) -> BTreeSet<Names> {
+    let mut found = Vec::new();
+    let word = format!("{root}::");
+    for (at, _) in code.match_indices(&word) {
+        let is_longer =
+            code[..at].ends_with(|before: char| before.is_alphanumeric() || before == '_');
+        if !is_longer {
+            read_tree(&code[at + word.len()..], &[], &mut found);
+        }
+    }
+    found.into_iter().map(|(path, _)| path).collect()
+}
+
 /// Each name that a module imports, as a name in this module, with its path from the root.
 pub(super) fn re_exports(code: &str, module: &[String]) -> Vec<(Names, Names)> {
     let mut found = Vec::new();

@@ -270,7 +270,7 @@ impl World {
         let requests = kinds.map(|kind| InputEvent {
             kind: EventKind::Request.code(),
             detail: kind.code(),
-            judged_ns: record.handed_over_ns,
+            evaluated_ns: record.handed_over_ns,
             ..InputEvent::default()
         });
         let fed = self.fed.take().map(|header| InputEvent {
