@@ -24,7 +24,7 @@
 #endif
 
 /* What cdcr_connect and cdcr_driver_connect ask for: of which version this header is. */
-#define CDCR_LAYOUT UINT64_C(0x5366947cf7eaf04e)
+#define CDCR_LAYOUT UINT64_C(0x96fbc992825fa1a7)
 
 /* Bending sections of one robot. The longest published cable-driven arm has five. */
 #define CDCR_SECTIONS_MAX 6
@@ -629,7 +629,8 @@ typedef struct CdcrRobotDescription {
     double cable_stroke_max_m;
     /* 32: Largest commanded speed of the end of any section, seen from the base [m/s]; 0: no limit. */
     double tip_speed_max_m_s;
-    /* 40: Overlap of two parts of the body, by their body_radius_m, that a command may lead to [m]. */
+    /* 40: Overlap of two parts of the body, by their body_radius_m, that a command may lead to; as much as the body
+     * is thick: no check [m]. */
     double self_overlap_max_m;
     /* 48: used: 1 * sections. The sections, base first. */
     CdcrSectionDescription section[6];
@@ -839,7 +840,7 @@ typedef struct CdcrStatus {
 } CdcrStatus;
 CDCR_ASSERT_SIZE(CdcrStatus, 2328);
 
-/* cdcr.InputEvent.v1, 40 bytes. */
+/* cdcr.InputEvent.v2, 40 bytes. */
 typedef struct CdcrInputEvent {
     /* 0: header.sender_id of the message. */
     uint64_t sender_id;
@@ -847,7 +848,7 @@ typedef struct CdcrInputEvent {
     uint64_t sequence;
     /* 16: The daemon's clock when it evaluated the message; of a request that a cycle decided, that cycle's
      * handed_over_ns [ns, CLOCK_MONOTONIC]. */
-    uint64_t judged_ns;
+    uint64_t evaluated_ns;
     /* 24: CdcrEventKind. */
     uint32_t kind;
     /* 28: CdcrOutcome. */

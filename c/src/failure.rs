@@ -94,7 +94,7 @@ fn code_of(error: &LinkError) -> Code {
     }
 }
 
-// Of a stated place: a refused command is no error.
+// Of a stated place: a refused command is not an error.
 impl From<CommandRefusal> for Failure {
     fn from(refusal: CommandRefusal) -> Self {
         Self::argument(refusal)

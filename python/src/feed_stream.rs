@@ -383,7 +383,7 @@ impl StreamThread {
                 {
                     outbox.note_evaluated(event.sequence);
                     self.check_event(event)?;
-                    accepted_ns = accepted_ns.max(event.judged_ns);
+                    accepted_ns = accepted_ns.max(event.evaluated_ns);
                 }
             }
             followed.check_tracking(&record)?;

@@ -57,7 +57,7 @@ impl Robot {
     /// the first cable, -2π to 2π rad (40° more from section to section if left out). bend_max_rad: 0.01 to π rad. rate_max_rad_s: of
     /// each bend component, 0.001 to 100 rad/s. body_radius_m: 0 to 1 m. cable_speed_max_m_s and cable_stroke_max_m: 0.0001 to 100.
     /// tip_speed_max_m_s: of the end of each section, 0.001 to 100 m/s; 0: no limit. self_overlap_max_m: overlap of two
-    /// parts of the body that a command may lead to, 0 to 1 m.
+    /// parts of the body that a command may lead to, 0 to 2 m; as much as the body is thick: no check.
     /// Raises ArgumentError for a value outside its range and for lists of different lengths.
     #[new]
     #[pyo3(signature = (

@@ -34,7 +34,8 @@ message! {
         cable_stroke_max_m: f64,
         /// Largest commanded speed of the end of any section, seen from the base \[m/s\]; 0: no limit.
         tip_speed_max_m_s: f64,
-        /// Overlap of two parts of the body, by their `body_radius_m`, that a command may lead to \[m\].
+        /// Overlap of two parts of the body, by their `body_radius_m`, that a command may lead to; as much as the body is thick: no check
+        /// \[m\].
         self_overlap_max_m: f64,
         /// The sections, base first.
         section: [SectionDescription; SECTIONS_MAX] [used 1 sections],

@@ -11,14 +11,14 @@ message! {
     /// in which cycle. With a recording of those messages, they reproduce the state of the reference buffer and of the
     /// obstacle set for every cycle.
     #[derive(Eq)]
-    pub struct InputEvent "cdcr.InputEvent.v1" {
+    pub struct InputEvent "cdcr.InputEvent.v2" {
         /// `header.sender_id` of the message.
         sender_id: u64,
         /// `header.sequence` of the message.
         sequence: u64,
         /// The daemon's clock when it evaluated the message; of a request that a cycle decided, that cycle's `handed_over_ns` \[ns,
         /// `CLOCK_MONOTONIC`\].
-        judged_ns: u64,
+        evaluated_ns: u64,
         /// [`codes::EventKind`](crate::codes::EventKind).
         kind: u32 [code EventKind],
         /// [`codes::Outcome`](crate::codes::Outcome).

@@ -92,7 +92,7 @@ impl Sender {
                 && request.is_none_or(|request| event.detail == request.code())
         });
         let taken = ours.map(|event| {
-            let gather_ns = [event.judged_ns, record.gather_ns][usize::from(is_of_cycle)];
+            let gather_ns = [event.evaluated_ns, record.gather_ns][usize::from(is_of_cycle)];
             (event.sequence, gather_ns, event.outcome)
         });
         taken.collect()

@@ -188,7 +188,7 @@ impl Reference {
         let is_next = |(gather, event): &(u64, InputEvent)| {
             *gather < record.gather
                 || later.is_none_or(|later| {
-                    later.gather > *gather || event.judged_ns < later.handed_over_ns
+                    later.gather > *gather || event.evaluated_ns < later.handed_over_ns
                 })
         };
         let mut requests = Vec::new();

@@ -38,7 +38,7 @@ pub mod ranges {
     /// Largest speed of the end of a section (m/s), where it is limited.
     pub const TIP_SPEED_MAX_M_S: RangeInclusive<f64> = 1e-3..=100.0;
     /// Overlap of two parts of the body that a command may lead to (m).
-    pub const SELF_OVERLAP_MAX_M: RangeInclusive<f64> = 0.0..=1.0;
+    pub const SELF_OVERLAP_MAX_M: RangeInclusive<f64> = 0.0..=2.0;
 }
 
 crate::parameters! {
@@ -126,7 +126,7 @@ pub struct RobotParameters {
     #[serde(default)]
     pub tip_speed_max_m_s: f64,
     /// Overlap of two parts of the body, by their `body_radius_m`, that a command may lead to (m), in
-    /// [`ranges::SELF_OVERLAP_MAX_M`]. More than the diameter of the body: no limit.
+    /// [`ranges::SELF_OVERLAP_MAX_M`]. As much as the body is thick: no limit.
     #[serde(default = "usual_overlap_m")]
     pub self_overlap_max_m: f64,
 }
@@ -372,8 +372,9 @@ impl Robot {
     ///
     /// 64-bit FNV-1a over little-endian bytes: the section count (as u64), then the bits of each section's `length_m`,
     /// `cable_radius_m`, `cable_offset_rad`, `bend_max_rad`, `rate_max_rad_s`, `body_radius_m`, base first, then
-    /// `cable_speed_max_m_s` and `cable_stroke_max_m`, `tip_speed_max_m_s` if it is a limit, and the negative of
-    /// `self_overlap_max_m` unless it is 0.002: it is no speed. The same on every platform. It depends on bits: 0.0 and -0.0 differ.
+    /// `cable_speed_max_m_s` and `cable_stroke_max_m`, `tip_speed_max_m_s` if it is a limit, and unless it is that of [`RobotParameters::paper`]
+    /// the negative of `self_overlap_max_m`: a positive number there is a tip speed. The same on every platform. It depends on bits: 0.0 and -0.0
+    /// differ.
     pub fn fingerprint(&self) -> u64 {
         self.fingerprint
     }

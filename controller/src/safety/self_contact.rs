@@ -1,13 +1,15 @@
 //! No command leads two parts of the body into each other.
 
 use super::situation::{SafeCommand, Situation};
-use super::stopping::{fastest, scaled_by};
+use super::stopping::{fastest, scaled_by, shortened_to};
 use crate::robot::{BendRates, Configuration, Pairs, SECTIONS_MAX};
 
 /// Most points of the way between the ends of the period and of the stopping path.
 const POINTS: u32 = 4;
-/// Scales that are tried before rest.
-const SCALES: u32 = 2;
+/// Scales that are tried before a ramp and rest.
+const SCALES: u32 = 4;
+/// Deeper by less is not deeper \[m\]: the same overlap of parts that no rate moves is rounded otherwise in another pose.
+const EQUAL_M: f64 = 1e-9;
 
 /// The first place of the stopping path at which the body overlaps more than it may.
 struct Violation<'a> {
@@ -22,7 +24,7 @@ struct Violation<'a> {
 }
 
 /// `safe` if no two parts of the body overlap by more than they may; else its rates scaled down, as far as `permitted` makes them
-/// satisfy all other rules; else rest.
+/// satisfy all other rules; else a ramp of the command before; else rest.
 ///
 /// The overlap that is permitted is the robot's, or that of the body where it is, so that it may move out of a contact. Next scale: where
 /// the overlap would be the permitted one if it were linear along the path. A path of slower rates is shorter, so that is
@@ -57,7 +59,18 @@ pub(super) fn kept(
             Some(still) => violation = still,
         }
     }
-    stopped
+    let ramp = ramp(situation, fastest(&safe.rates)).and_then(|rates| permitted(&rates));
+    match ramp.filter(|rates| self::violation(situation, rates).is_none()) {
+        Some(rates) => SafeCommand { rates, ..stopped },
+        None => stopped,
+    }
+}
+
+/// The command before, slowed down by the deceleration and not faster than `most_rad_s`; `None`: that is rest.
+fn ramp(situation: &Situation<'_>, most_rad_s: f64) -> Option<BendRates> {
+    let change_rad_s = situation.deceleration_rad_s2 * situation.period_s;
+    let slower_rad_s = (fastest(situation.previous) - change_rad_s).min(most_rad_s);
+    (slower_rad_s > 0.0).then(|| shortened_to(*situation.previous, slower_rad_s))
 }
 
 impl Violation<'_> {
@@ -109,15 +122,18 @@ fn violation<'a>(situation: &Situation<'a>, rates: &BendRates) -> Option<Violati
     let places_s = core::iter::once(situation.period_s.min(path_s)).chain(places);
     let origins = [Some(situation.at), commanded];
     for from in origins.into_iter().flatten() {
-        let mut most_m = robot.self_overlap_max_m();
+        let (mut most_m, mut present) = (robot.self_overlap_max_m(), None);
         for place_s in places_s.clone() {
             let there = from.advanced(rates, place_s);
             let pairs = near.at(place_s / path_s);
             let Some(contact) = robot.self_contact_of(pairs, &there, most_m) else {
                 continue;
             };
-            let present = robot.self_contact_of(near.at(0.0), from, most_m);
-            most_m = present.map_or(most_m, |present| present.overlap_m);
+            let present_m = *present.get_or_insert_with(|| {
+                let present = robot.self_contact_of(near.at(0.0), from, most_m);
+                present.map_or(most_m, |present| present.overlap_m + EQUAL_M)
+            });
+            most_m = present_m;
             if contact.overlap_m > most_m {
                 return Some(Violation {
                     from,
@@ -153,6 +169,8 @@ fn norm([u, v]: [f64; 2]) -> f64 {
 mod tests {
     use nalgebra::Vector3;
     use proptest::prelude::*;
+    use rand::SeedableRng as _;
+    use rand_xoshiro::Xoshiro256PlusPlus;
 
     use super::*;
     use crate::robot::{Obstacle, Robot, RobotParameters, Shape};
@@ -292,5 +310,90 @@ mod tests {
                 (outwards, false)
             );
         }
+    }
+
+    fn paper(section_count: usize) -> Robot {
+        Robot::new(&RobotParameters::paper(section_count)).unwrap()
+    }
+
+    /// Four sections overlap deeper than they may; only the first section moves, and with it all of them together.
+    #[test]
+    fn a_motion_that_changes_no_overlap_is_not_held() {
+        let (robot, rest) = (paper(6), BendRates::zero(6));
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
+        let mut tried = 0;
+        while tried < 100 {
+            let mut bends = [[0.0; 2]; 6];
+            for bend in &mut bends[..2] {
+                *bend = [
+                    random.random_range(0.0..0.4),
+                    random.random_range(-3.0..3.0),
+                ];
+            }
+            for bend in &mut bends[2..] {
+                *bend = [
+                    random.random_range(1.5..2.5),
+                    random.random_range(-0.4..0.4),
+                ];
+            }
+            let at = Configuration::from_bend_angles(&bends);
+            let contact = robot.self_contact(&at, 0.0025);
+            let mut desired = rest;
+            desired.as_mut_slice()[0] = random.random_range(0.05..0.3);
+            // The first section touches nothing on the way.
+            let same = |share: u32| {
+                let there = at.advanced(&desired, 0.002 * f64::from(share));
+                (overlap_m(&robot, &there) - overlap_m(&robot, &at)).abs() < EQUAL_M
+            };
+            if contact.is_none_or(|contact| contact.sections[0] < 2) || !(1..=20).all(same) {
+                continue;
+            }
+            tried += 1;
+            let safe = safe_command(&situation(&robot, &at, &rest), &desired);
+            assert!(fastest(&safe.rates) > 0.0, "{bends:?}");
+        }
+    }
+
+    /// Rings that close at full speed, beside the ramp of 0.2 rad/s a period: the last steps to rest are as short as those in front of an obstacle.
+    #[test]
+    fn a_ring_that_closes_at_speed_does_not_stop_at_once() {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(2);
+        let mut held = 0;
+        for section_count in [3, 4] {
+            let robot = paper(section_count);
+            for _ in 0..100 {
+                let bend_rad = 5.0 / section_count as f64;
+                let around = |random: &mut Xoshiro256PlusPlus| {
+                    [
+                        bend_rad + random.random_range(-0.2..0.2),
+                        random.random_range(-0.5..0.5),
+                    ]
+                };
+                let bends: Vec<_> = (0..section_count).map(|_| around(&mut random)).collect();
+                let mut at = Configuration::from_bend_angles(&bends);
+                if overlap_m(&robot, &at) > 0.0 {
+                    continue;
+                }
+                let rates = (0..2 * section_count).map(|k| match k % 2 {
+                    0 => random.random_range(0.7..1.3),
+                    _ => random.random_range(-0.5..0.5),
+                });
+                let inwards = BendRates::from_slice(&rates.collect::<Vec<_>>()).unwrap();
+                let mut previous = BendRates::zero(section_count);
+                for _ in 0..400 {
+                    let begin = Situation {
+                        acceleration_rad_s2: 40.0,
+                        ..situation(&robot, &at, &previous)
+                    };
+                    let safe = safe_command(&begin, &inwards);
+                    let stops = fastest(&safe.rates) == 0.0 && fastest(&previous) > 0.3;
+                    assert!(!stops, "from {} rad/s", fastest(&previous));
+                    held += u32::from(safe.limits_hit.self_contact);
+                    at = at.advanced(&safe.rates, PERIOD_S);
+                    previous = safe.rates;
+                }
+            }
+        }
+        assert!(held > 100, "{held}");
     }
 }

@@ -17,9 +17,9 @@ table! {
         /// Largest commanded speed of the end of any section, the tip included, {range}, and at least 0.001; 0: no limit. All rates are
         /// scaled down together to respect it: it bounds how fast a wrong sensor or model can drive the robot.
         tip_speed_max_m_s: f64 = 0.0, in 0.0..=*robot::ranges::TIP_SPEED_MAX_M_S.end(), usual 0.0..=5.0;
-        /// Overlap of two parts of the body, by body_radius_m, that a command may lead to, {range}; 1: no check. Rates that would lead
-        /// deeper are scaled down together; a robot that is deeper already may only move out. It must be less than the body is thick.
-        /// A trunk that coils on purpose sets it to 1.
+        /// Overlap of two parts of the body, by body_radius_m, that a command may lead to, {range}; as much as the body is thick: no check. Rates that
+        /// would lead deeper are scaled down together; a robot that is deeper already may only move out. A trunk that coils on purpose
+        /// sets it to 2.
         self_overlap_max_m: f64 = RobotParameters::paper(0).self_overlap_max_m, in robot::ranges::SELF_OVERLAP_MAX_M;
         /// Bending sections, base first: 1 to 6 tables, each with every key.
         sections: Vec<SectionParameters> = RobotParameters::paper(3).sections;

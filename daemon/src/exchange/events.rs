@@ -44,7 +44,7 @@ impl Events {
         gather: u64,
         kind: EventKind,
         header: &Header,
-        judged_ns: u64,
+        evaluated_ns: u64,
         result: Result<u32, Refused>,
     ) {
         let (outcome, detail) = match result {
@@ -65,7 +65,7 @@ impl Events {
             let event = InputEvent {
                 sender_id: header.sender_id,
                 sequence: header.sequence,
-                judged_ns,
+                evaluated_ns,
                 kind: kind.code(),
                 outcome: outcome.code(),
                 detail,

@@ -219,7 +219,13 @@ impl Exchange {
         }
     }
 
-    fn note_request(&mut self, request: &Request, outcome: Outcome, gather: u64, judged_ns: u64) {
+    fn note_request(
+        &mut self,
+        request: &Request,
+        outcome: Outcome,
+        gather: u64,
+        evaluated_ns: u64,
+    ) {
         let accepts_pose = request.kind == RequestKind::Reset.code() && request.accepts_pose != 0;
         let kind = if accepts_pose {
             RequestKind::ResetAcceptingPose.code()
@@ -237,7 +243,7 @@ impl Exchange {
             gather,
             EventKind::Request,
             &request.header,
-            judged_ns,
+            evaluated_ns,
             result,
         );
     }

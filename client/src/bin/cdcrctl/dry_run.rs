@@ -87,6 +87,8 @@ pub(crate) struct Demands {
     self_contact: Option<SelfContact>,
     /// Overlap of the body that the daemon would permit \[m\].
     overlap_max_m: f64,
+    /// The body overlaps by that much at the start, more than the robot may.
+    overlaps: bool,
     /// The reference does not begin where the tip is, and nothing brings the tip there before: `--track` would join it.
     pub(crate) may_join: bool,
 }
@@ -159,6 +161,7 @@ pub(crate) fn simulate(
 ) -> anyhow::Result<Demands> {
     let (robot, here) = robot_and_pose(record)?;
     let overlap_max_m = permitted_m(&robot, &here);
+    let overlaps = overlap_max_m > robot.self_overlap_max_m();
     let robot = without_limit(&robot)?;
     let period_s = record.period_ns as f64 * 1e-9;
     let cycles = (trajectory.duration_s() / period_s).ceil();
@@ -176,7 +179,7 @@ pub(crate) fn simulate(
         .with_stopping(valid_periods, record.deceleration_rad_s2)
         .with_tip_offset(record.tip_margin_m);
     let mut demands = Demands::new(&robot, &settings, way.error_m());
-    demands.overlap_max_m = overlap_max_m;
+    (demands.overlap_max_m, demands.overlaps) = (overlap_max_m, overlaps);
     demands.has_orientation = matches!(
         trajectory.orientation(0.0),
         Orientation::Axis(_) | Orientation::Full(_)
@@ -298,6 +301,7 @@ impl Demands {
             unrepeated: None,
             self_contact: None,
             overlap_max_m: 0.0,
+            overlaps: false,
             may_join: false,
         }
     }
@@ -342,12 +346,19 @@ impl Demands {
 
     /// Fails when the body would touch itself along the reference, deeper than the daemon permits.
     pub(crate) fn check_self_contact(&self) -> anyhow::Result<()> {
-        match self.self_contact {
-            Some(contact) => bail!(
-                "{contact}: use another point or path, or begin in another shape (cdcrctl home); nothing moved"
-            ),
-            None => Ok(()),
+        let Some(contact) = self.self_contact else {
+            return Ok(());
+        };
+        if self.overlaps {
+            bail!(
+                "{contact}; the body overlaps by {:.1} mm already, more than robot.self_overlap_max_m, and may only move out: lead it out in small \
+                 steps (cdcrctl jog), or set that to 2 if the body is free in truth; nothing moved",
+                1e3 * self.overlap_max_m
+            );
         }
+        bail!(
+            "{contact}: use another point or path, or begin in another shape (cdcrctl home); nothing moved"
+        )
     }
 
     /// Fails when there is a [`miss`](Self::miss).

@@ -35,6 +35,8 @@ pub(crate) struct TipError {
     unused_cycles: u64,
     sum_m: f64,
     max_m: f64,
+    /// Whether the body was beside an obstacle at the largest error.
+    max_beside_obstacle: bool,
     final_m: f64,
     /// The section that was at its bend limit in the last cycle.
     at_limit: Option<BendShare>,
@@ -66,6 +68,8 @@ pub(crate) const ENDED_OFF_M: f64 = 0.02;
 /// is an outlier, or it is too fast \[m\]. More than [`ENDED_OFF_M`]: a machine that stalls for 0.2 s does not decide.
 /// Obstacles may keep the tip away; after them, it has to arrive again.
 pub(crate) const PASSED_OFF_M: f64 = 0.05;
+/// A largest error beside an obstacle is attributed to it from here on \[m\]; without one, a path that is slow enough has less.
+const DETOUR_M: f64 = 1e-3;
 /// A body within this share of the robot's length of the safe distance is beside an obstacle.
 const BESIDE: f64 = 0.02;
 
@@ -118,7 +122,10 @@ impl TipError {
             self.limited_cycles += u64::from(record.guard_flags != 0);
             self.unused_cycles += self.silence.take(record, &self.frames);
             self.sum_m += record.position_error_m;
-            self.max_m = self.max_m.max(record.position_error_m);
+            if record.position_error_m > self.max_m {
+                self.max_m = record.position_error_m;
+                self.max_beside_obstacle = is_beside_obstacle(record);
+            }
             self.final_m = record.position_error_m;
             self.at_limit = BendShare::at_limit_of(record);
             self.take_farthest(record);
@@ -226,6 +233,12 @@ impl TipError {
                 100.0 * self.limited_cycles as f64 / self.cycles as f64
             )?;
         }
+        if self.max_beside_obstacle && self.max_m >= DETOUR_M {
+            writeln!(
+                std::io::stdout(),
+                "the largest error was beside an obstacle, which was in the way (cdcrctl obstacle list)"
+            )?;
+        }
         if self.self_contact_cycles > 0 {
             writeln!(
                 std::io::stdout(),
@@ -255,10 +268,12 @@ impl TipError {
             let [last, limit] = [last_m, ENDED_OFF_M].map(|m| 1e3 * m);
             bail!(
                 "the tip was {last:.3} mm from its reference at the end, more than {limit} mm: {}; --max-error allows another error",
-                self.at_limit.map_or_else(
-                    || "limits or obstacles held it back, or it began too far away".to_owned(),
-                    |bend| bend.to_string()
-                )
+                match self.at_limit {
+                    Some(bend) => bend.to_string(),
+                    None if self.self_contact_cycles > 0 =>
+                        "the body would have touched itself".to_owned(),
+                    None => "limits or obstacles held it back, or it began too far away".to_owned(),
+                }
             );
         }
         let Farthest {
@@ -269,10 +284,15 @@ impl TipError {
         if error_m > PASSED_OFF_M {
             let time_s = release_ns.saturating_sub(self.start_ns) as f64 * 1e-9;
             let [most, limit] = [error_m, PASSED_OFF_M].map(|m| 1e3 * m);
+            let cause = if self.self_contact_cycles > 0 {
+                "the body would have touched itself: use another path"
+            } else {
+                "a point there is an outlier or the reference too fast (cdcrctl ref --dry-run shows both without moving), or the machine stalled \
+                 (cdcrctl incidents)"
+            };
             bail!(
-                "the tip was up to {most:.3} mm from its reference at {time_s:.2} s, ({x:.4}, {y:.4}, {z:.4}) m, more than {limit} mm: a point \
-                 there is an outlier or the reference too fast (cdcrctl ref --dry-run shows both without moving), or the \
-                 machine stalled (cdcrctl incidents); --max-error allows another error"
+                "the tip was up to {most:.3} mm from its reference at {time_s:.2} s, ({x:.4}, {y:.4}, {z:.4}) m, more than {limit} mm: {cause}; \
+                 --max-error allows another error"
             );
         }
         Ok(())

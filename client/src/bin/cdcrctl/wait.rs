@@ -174,16 +174,18 @@ fn progress(kind: RequestKind, record: &Telemetry) -> Progress {
 
 /// Names the obstacle, or the body itself, before which the safety step held back the command of a record.
 fn obstruction(record: &Telemetry) -> String {
+    let mut text = String::new();
     if record.guard_flags & guard::SELF_CONTACT != 0 {
-        return format!(
-            ": two parts of the body would overlap by more than {} mm, or than now (robot.self_overlap_max_m); move it another way first (cdcrctl goto, jog)",
+        text = format!(
+            ": two parts of the body would overlap by more than {:.1} mm (robot.self_overlap_max_m) and more than they do now; lead it out in small steps \
+             (cdcrctl jog)",
             1e3 * record.robot.self_overlap_max_m
         );
     }
     if record.guard_flags & guard::CLEARANCE == 0 {
-        return String::new();
+        return text;
     }
-    format!(
+    text + &format!(
         ": an obstacle is in the way, {} mm from the body, and the clearance guard keeps {} mm (cdcrctl obstacle list)",
         clearance_text(record.clearance_m),
         clearance_text(record.settings.safe_distance_m)
@@ -269,7 +271,7 @@ mod tests {
         record.robot.self_overlap_max_m = 0.002;
         let text = obstruction(&record);
         assert!(
-            text.contains("two parts of the body would overlap by more than 2 mm"),
+            text.contains("two parts of the body would overlap by more than 2.0 mm"),
             "{text}"
         );
     }

@@ -20,7 +20,7 @@ fn of_records_that_wait_together_a_request_names_the_cycle_that_decided_it() {
     let inputs = &reports[0].inputs;
     assert_eq!((inputs.event_count, inputs.events[0].sender_id), (1, 5));
     let handed_over_ns = |report: &CycleReport| report.record.handed_over_ns;
-    assert_eq!(inputs.events[0].judged_ns, handed_over_ns(&reports[0]));
+    assert_eq!(inputs.events[0].evaluated_ns, handed_over_ns(&reports[0]));
     assert!(
         reports[1..]
             .iter()

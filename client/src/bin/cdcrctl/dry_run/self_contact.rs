@@ -100,7 +100,7 @@ mod tests {
         assert!(found[0].is_some() && found[1].is_none());
         assert_eq!(
             without_limit(&robot).map(|it| permitted_m(&it, &closed)),
-            Ok(1.0)
+            Ok(2.0)
         );
     }
 }

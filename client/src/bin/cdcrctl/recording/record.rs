@@ -403,7 +403,8 @@ impl Recorder {
                 Ok(EventKind::Obstacles) => Topic::Obstacles,
                 _ => continue,
             };
-            let is_ours = event.outcome == Outcome::Accepted.code() && event.judged_ns > since_ns;
+            let is_ours =
+                event.outcome == Outcome::Accepted.code() && event.evaluated_ns > since_ns;
             if is_ours && !self.taken.contains(&(event.sender_id, event.sequence)) {
                 self.missed[topic as usize] += 1;
             }

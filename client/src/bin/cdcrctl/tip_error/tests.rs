@@ -31,7 +31,8 @@ fn only_cycles_that_track_the_reference_count() {
         (Mode::Tracking, Inside, 120, 0.001),
     ] {
         let mut record = record(mode, state, release_ns, error_m);
-        record.guard_flags = guard::SELF_CONTACT * u32::from(release_ns <= 100);
+        record.guard_flags = guard::SELF_CONTACT * u32::from(release_ns <= 100)
+            + guard::CLEARANCE * u32::from(error_m == 0.003);
         error.take(&record);
     }
     assert_eq!(
@@ -39,7 +40,11 @@ fn only_cycles_that_track_the_reference_count() {
         (3, 0.003, 0.001)
     );
     assert_eq!((error.limited_cycles, error.self_contact_cycles), (1, 3));
-    assert!((error.sum_m - 0.006).abs() < 1e-15);
+    assert!(error.max_beside_obstacle);
+    // Larger, where no obstacle is.
+    error.take(&record(Mode::Tracking, Inside, 125, 0.004));
+    assert!(!error.max_beside_obstacle);
+    assert!((error.sum_m - 0.01).abs() < 1e-15);
 }
 
 #[test]
