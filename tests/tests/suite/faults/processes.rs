@@ -2,6 +2,7 @@
 
 use std::fs::{File, OpenOptions, Permissions};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt, chown};
+use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -285,7 +286,13 @@ fn a_thread_that_panics_ends_with_70() {
         place.location().root().display()
     );
     let validated = Config::parse(&configuration, &place.folder().join("robot.toml")).unwrap();
-    let error = run_until(&validated, || false, |_| panic!("a test of panics")).unwrap_err();
+    // Without the hook, whose backtrace takes longer on a busy machine than a cycle may hang.
+    let run = run_until(
+        &validated,
+        || false,
+        |_| resume_unwind(Box::new("a test of panics")),
+    );
+    let error = run.unwrap_err();
     assert_eq!(ExitCause::from_error(&error), ExitCause::Panicked);
     assert!(error.to_string().contains("cdcr-cycle panicked"), "{error}");
     assert_eq!(place.memory_files(), Vec::<PathBuf>::new());
