@@ -66,8 +66,8 @@ pub use orientation::{ZyxAngles, quaternion_xyzw};
 pub use parameters::{Robot, RobotError, RobotParameters, SectionParameters, ranges};
 pub(crate) use section::rotate_wide;
 pub use section::{Arc, Coefficients};
-pub(crate) use self_contact::Pairs;
 pub use self_contact::SelfContact;
+pub(crate) use self_contact::{Pairs, norm};
 pub(crate) use wide::{TipSeries, tip_position_of, tip_slopes_of};
 
 /// Maximum number of sections: the longest published robot has five. The limit sizes every array of this crate.

@@ -17,6 +17,7 @@ use core::f64::consts::{PI, TAU};
 use nalgebra::Vector3;
 
 use super::section::position_coefficients;
+use super::tube::CENTRE;
 use super::{Configuration, Pose, Robot, SECTIONS_MAX, SectionParameters};
 pub(crate) use pairs::Pairs;
 
@@ -28,9 +29,6 @@ const STEPS: u32 = 8;
 const FLAT: f64 = 1e-6;
 /// Below this bend (rad) the nearest point of an arc is that of its chord, up to the square of it times the length.
 const STRAIGHT_RAD: f64 = 1e-7;
-
-/// Below this distance from the middle of its circle, in radii, all points of an arc are equally near.
-const CENTRE: f64 = 1e-100;
 
 /// The deepest overlap of two parts of the body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -477,7 +475,8 @@ fn overlap_m(
     (distance_m.map(|distance_m| radii_m - distance_m)).filter(|overlap_m| *overlap_m > above_m)
 }
 
-fn norm([u, v]: [f64; 2]) -> f64 {
+/// Length of a bend vector, or of how it changes.
+pub(crate) fn norm([u, v]: [f64; 2]) -> f64 {
     (u * u + v * v).sqrt()
 }
 

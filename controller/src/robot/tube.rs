@@ -41,7 +41,7 @@ const STRAIGHT_RAD: f64 = 1e-15;
 const NORMAL_SHARE: f64 = 1e-30;
 
 /// Below this distance from the circle's axis, in radii, a point counts as on the axis: squares of smaller numbers underflow.
-const CENTRE: f64 = 1e-100;
+pub(super) const CENTRE: f64 = 1e-100;
 
 /// Newton's method ends when a step moves the point on the segment by less than this (m), or when the remaining change of the distance is
 /// less. Convergence is at least that of a triple root, by a third per step, so the remaining error is at most two such steps.

@@ -2,7 +2,7 @@
 
 use super::situation::{SafeCommand, Situation};
 use super::stopping::{fastest, scaled_by, shortened_to};
-use crate::robot::{BendRates, Configuration, Pairs, SECTIONS_MAX};
+use crate::robot::{BendRates, Configuration, Pairs, SECTIONS_MAX, norm};
 
 /// Most points of the way between the ends of the period and of the stopping path.
 const POINTS: u32 = 4;
@@ -159,10 +159,6 @@ fn motion_m(situation: &Situation<'_>, rates: &BendRates, path_s: f64) -> f64 {
     travel_m
         .iter()
         .fold(0.0, |most, travel_m| travel_m.max(most))
-}
-
-fn norm([u, v]: [f64; 2]) -> f64 {
-    (u * u + v * v).sqrt()
 }
 
 #[cfg(test)]
